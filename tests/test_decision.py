@@ -13,7 +13,7 @@ import pytest
 from test_diagnosis import finger_run
 
 from softmap_edge import builtin_model, diagnose
-from softmap_edge.diagnosis import acceptance, conclusion, decision, search, together, wording
+from softmap_edge.diagnosis import acceptance, conclusion, decision, search, wording
 from softmap_edge.diagnosis.decision import clears, difference, form_of, leaves_cause, near, reaches, seen_to_fall
 from softmap_edge.diagnosis.findings import Alternative, Number
 
@@ -126,8 +126,6 @@ def test_a_static_law_need_not_explain_ordinary_imperfections():
 )  # fmt: skip
 def test_comparisons_turn_when_their_constant_is_moved(monkeypatch, name, low, high, question, expected):
     assert question() == expected
-    defaults = reaches.__defaults__
-    assert defaults == (decision.FORM,)  # the one default that is a constant
     for moved in (low, high):
         monkeypatch.setattr(decision, name, moved)
         assert question() != expected, f"{name} = {moved} decides the same"
@@ -214,7 +212,7 @@ def test_a_later_family_has_to_explain_more():
 def test_what_is_visible_moves_the_body_by_more_than_a_camera_s_floor(monkeypatch):
     run = finger_run(["backlash"], {"backlash.gap": 0.08}, noise=0.02)
     assert diagnose(builtin_model(), run).effects == ()
-    monkeypatch.setattr(search.search, "__defaults__", (None, 0.01))
+    monkeypatch.setattr(decision, "VISIBLE_MM", 0.01)
     assert [e.name for e in diagnose(builtin_model(), run).effects] == ["backlash"]
 
 
@@ -269,7 +267,7 @@ def moved(monkeypatch):
         model = builtin_model()
         now = diagnose(model, run, effects=effects)
         for name, value in constants.items():
-            for module in (decision, search, together):
+            for module in (decision, acceptance):
                 if hasattr(module, name):
                     monkeypatch.setattr(module, name, value)
         return now, diagnose(model, run, effects=effects)
@@ -308,7 +306,7 @@ def test_two_laws_of_two_families_are_found_together(monkeypatch):
     assert now.error.after < 0.3 * now.error.before
 
     def one_by_one(outcome, more, visible):
-        more(outcome, search.MOST)
+        more(outcome, acceptance.MOST)
         return outcome
 
     monkeypatch.setattr(search, "completed", one_by_one)

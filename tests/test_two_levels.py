@@ -13,7 +13,7 @@ import pytest
 from test_diagnosis import finger_run
 
 from softmap_edge import _core, builtin_model, diagnose
-from softmap_edge.diagnosis import search, together
+from softmap_edge.diagnosis import acceptance, search, together
 from softmap_edge.diagnosis.decision import in_one_fold
 from softmap_edge.diagnosis.families import Body, State, applied, families, linearised, ranked
 from softmap_edge.diagnosis.fits import Fits
@@ -423,7 +423,7 @@ def test_a_family_that_leaves_only_noise_excludes_one_that_leaves_more(monkeypat
     state = SimpleNamespace(body=SimpleNamespace(problem=SimpleNamespace(numbers=100.0)))
 
     def excluded(one, other, mimic=False):
-        monkeypatch.setattr(search, "does_the_same", lambda *args: mimic)
+        monkeypatch.setattr(acceptance, "does_the_same", lambda *args: mimic)
         return search._excluded(one, [one, other], None, state)
 
     warmed, slipped, scaled = answer("condition", 105), answer("time", 160), answer("static", 160)
@@ -462,7 +462,7 @@ def test_sets_of_laws_are_tried_until_one_leaves_nothing_unknown(monkeypatch):
     def found(tried, confirmed, stands, left):
         start = SimpleNamespace(steps=[step], body=body, left=0.5, few=None)
         start.null, start.loss = np.full(8, 50.0), np.full(8, 25.0)
-        monkeypatch.setattr(together, "one_pose", lambda body: False)
+        monkeypatch.setattr(acceptance, "one_pose", lambda body: False)
         monkeypatch.setattr(together, "held_out_loss", lambda outcome: np.ones(8))
         monkeypatch.setattr(together, "_stands_for", lambda other, best: stands[sets.index(other.few)])
         monkeypatch.setattr(together, "_with_others", lambda other, outcome: other)

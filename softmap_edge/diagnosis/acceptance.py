@@ -25,8 +25,8 @@ ASKED = 3  # near families whose laws are tried
 SIMPLER = {"static": 1, "memory": 2, "condition": 2, "time": 3}  # order in which near families are taken
 
 
-def falls_on(before: Floats, after: Floats, body: Body, share: float = rule.FALL_NEXT, laws: bool = False) -> bool:
-    """Whether a loss (folds,) is seen to fall, by a `share` of what stood above the noise.
+def falls_on(before: Floats, after: Floats, body: Body, share: float | None = None, laws: bool = False) -> bool:
+    """Whether a loss (folds,) is seen to fall, by a `share` of what stood above the noise, FALL_NEXT by default.
 
     Where the loss is no more than noise, the noise is estimated too large or nothing is missing. Then the share is of
     the complete loss. `laws` says that laws were found before, whose form is off as well.
@@ -34,7 +34,7 @@ def falls_on(before: Floats, after: Floats, body: Body, share: float = rule.FALL
     fall, total = difference(before, after), float(before.sum())
     least = (rule.FALL if stands_out(before, body, laws) else rule.FALL_FIRST) * total
     above = max(0.0, total - rule.ABOVE_NOISE * body.problem.numbers)
-    return seen_to_fall(fall) and fall.fall >= max(least, share * above)
+    return seen_to_fall(fall) and fall.fall >= max(least, (rule.FALL_NEXT if share is None else share) * above)
 
 
 def stands_out(loss: Floats, body: Body, laws: bool) -> bool:

@@ -82,8 +82,9 @@ def leaves_cause(loss: Floats, best: Floats, numbers: float) -> bool:
     return bool(loss.sum() > ABOVE_NOISE * best.sum()) and clears(best, loss, numbers)
 
 
-def reaches(loss: Floats, best: Floats, explained: float, form: float = FORM) -> bool:
+def reaches(loss: Floats, best: Floats, explained: float, form: float | None = None) -> bool:
     """Whether a law leaves no more than the best of its family, up to one standard error or its form's tolerance."""
+    form = FORM if form is None else form
     return float(loss.sum() - best.sum()) <= max(difference(loss, best).error, form * explained)
 
 

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge import _core
-from softmap_edge.diagnosis.decision import FALL
+from softmap_edge.diagnosis import decision as rule
 from softmap_edge.diagnosis.fit import Fit, Problem
 from softmap_edge.diagnosis.record import SLOPE, Record
 
@@ -462,7 +462,7 @@ def about_itself(
         level.close(np.ascontiguousarray(body.modes(state.residual - moved + about.shift(theta))))
         every, strengths = [*names, "about itself"], [*ridges, ridge]
         theta, loss = np.asarray(level.theta(every, strengths)[-1]), np.asarray(level.losses(every, strengths))
-        settled = loss.sum() > (1.0 - FALL) * best[1].sum()
+        settled = loss.sum() > (1.0 - rule.FALL) * best[1].sum()
         best = (theta, loss) if loss.sum() < best[1].sum() else best
         if settled:
             break
@@ -497,7 +497,7 @@ def ranked(state: State, every: Sequence[Family], taken: Sequence[Family], withi
     found = before = np.asarray(level.losses(names, ridges))
     for family in taken:
         if family in columns and f"*{family.name}" not in known:
-            if _training_gain(level, names, ridges, family.name, before) < FALL * before.sum():
+            if _training_gain(level, names, ridges, family.name, before) < rule.FALL * before.sum():
                 continue
             loss, ridge = best_ridge(level, names, ridges, family.name)
             if loss.sum() < before.sum():
@@ -506,7 +506,7 @@ def ranked(state: State, every: Sequence[Family], taken: Sequence[Family], withi
     gains = {f: _training_gain(level, names, ridges, f.name, before) for f in columns if f not in taken}
     for family in sorted(gains, key=lambda f: -gains[f]) if within else gains:
         own, loss, ridge = columns[family], before, RIDGES[-1]
-        if gains[family] >= max(FALL * before.sum(), within * gained):
+        if gains[family] >= max(rule.FALL * before.sum(), within * gained):
             loss, ridge = best_ridge(level, names, ridges, family.name)
             gained = max(gained, float(before.sum() - loss.sum()))
         theta = level.theta([*names, family.name], [*ridges, ridge])[-1]

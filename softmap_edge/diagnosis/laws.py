@@ -15,16 +15,7 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from softmap_edge.diagnosis.decision import (
-    FALL,
-    STANDS_FOR,
-    difference,
-    form_of,
-    leaves_cause,
-    near,
-    reaches,
-    seen_to_fall,
-)
+from softmap_edge.diagnosis import decision as rule
 from softmap_edge.diagnosis.evidence import at_bound
 from softmap_edge.diagnosis.families import (
     Body,
@@ -189,7 +180,7 @@ class _Asked:
         self.state, self.fits, self.representative, self.before = state, fits, representative, before
         self.body: Body = state.body
         static = representative.family.kind == "static"
-        self.form = form_of(static, representative.moved_mm, self.body.ordinary_mm)
+        self.form = rule.form_of(static, representative.moved_mm, self.body.ordinary_mm)
 
     def members(self) -> list[Law]:
         """Fit each member of the family on top of what was found."""
@@ -253,14 +244,14 @@ class _Asked:
     def any_reaches(self, laws: list[Law]) -> bool:
         """Whether one of the laws does what the family can do."""
         explained = float(self.before.sum() - self.representative.loss.sum())
-        return any(reaches(law.loss, self.representative.loss, explained, self.form) for law in laws)
+        return any(rule.reaches(law.loss, self.representative.loss, explained, self.form) for law in laws)
 
     def judged(self, laws: list[Law]) -> Answer:
         """Say which law it is, given all that were tried."""
         losses = [self.representative.loss, *(law.loss for law in laws)]
         best = min(losses, key=lambda loss: float(loss.sum()))
         explained = float(self.before.sum() - best.sum())
-        able = sorted((law for law in laws if reaches(law.loss, best, explained, self.form)), key=_simplest)
+        able = sorted((law for law in laws if rule.reaches(law.loss, best, explained, self.form)), key=_simplest)
         named = [law for law in able if law.effects and not self._any_map(law)]
         generic = [law for law in able if law not in named]
         # With a number for each cable, a smooth law follows maps of any form.
@@ -284,9 +275,9 @@ class _Asked:
             return None
         members = sorted((law for law in laws if law.effects and not self._any_map(law)), key=lambda law: law.left)
         done = float(self.before.sum()) - members[0].left if members else 0.0
-        if not done >= STANDS_FOR * explained > 0.0:
+        if not done >= rule.STANDS_FOR * explained > 0.0:
             return None
-        return min((law for law in members if near(law.loss, members[0].loss, self.before)), key=_simplest)
+        return min((law for law in members if rule.near(law.loss, members[0].loss, self.before)), key=_simplest)
 
     def _equal(self, candidates: list[Law], worth: float) -> list[Law]:
         """Return the simplest of the laws and its equals with as few numbers: the best, then the first to act."""
@@ -298,13 +289,13 @@ class _Asked:
             for law in others
             if not set(first.effects) < set(law.effects)
             and law.numbers <= first.numbers
-            and not leaves_cause(law.loss, first.loss, self.body.problem.numbers)
-            and float(law.loss.sum() - first.loss.sum()) <= max(worth, difference(law.loss, first.loss).error)
+            and not rule.leaves_cause(law.loss, first.loss, self.body.problem.numbers)
+            and float(law.loss.sum() - first.loss.sum()) <= max(worth, rule.difference(law.loss, first.loss).error)
         ]
 
         def beaten(law: Law) -> bool:
-            fall = difference(law.loss, first.loss)
-            return seen_to_fall(fall) and fall.fall >= FALL * law.left
+            fall = rule.difference(law.loss, first.loss)
+            return rule.seen_to_fall(fall) and fall.fall >= rule.FALL * law.left
 
         return sorted([first, *equals], key=lambda law: (law.numbers, beaten(law), self._stage(law)))
 

@@ -14,24 +14,8 @@ from functools import partial
 
 import numpy as np
 
+from softmap_edge.diagnosis import acceptance
 from softmap_edge.diagnosis import decision as rule
-from softmap_edge.diagnosis.acceptance import (
-    ASKED,
-    BACKGROUND,
-    CATCH_ALL,
-    MOST,
-    accepted,
-    beyond_ordinary,
-    does_the_same,
-    falls_on,
-    indistinct,
-    is_ordinary,
-    motion_mm,
-    one_pose,
-    order_of,
-    ordinary,
-    stands_out,
-)
 from softmap_edge.diagnosis.decision import difference, near, seen_to_fall
 from softmap_edge.diagnosis.families import (
     RIDGES,
@@ -58,7 +42,7 @@ def search(
     problem: Problem,
     candidates: Sequence[str],
     progress: Callable[[str], None] | None = None,
-    visible: float = rule.VISIBLE_MM,
+    visible: float | None = None,
 ) -> Outcome:
     """Find the families that a model lacks on a problem, and their laws.
 
@@ -66,9 +50,10 @@ def search(
         problem: the record with its noise.
         candidates: names of the effects that may be a law.
         progress: is called with one line for each family.
-        visible: least effect size that counts, RMS, in mm or the unit of the output.
+        visible: least effect size that counts, RMS, in mm or the unit of the output; VISIBLE_MM by default.
     """
     tell = progress or (lambda _: None)
+    visible = rule.VISIBLE_MM if visible is None else visible
     more = partial(_one_by_one, tell=tell, visible=visible)
     body, fits = Body(problem, candidates), Fits(problem, candidates)
     state = State(body, fits.null)
@@ -77,7 +62,7 @@ def search(
     more(outcome, 1)
     outcome = completed(outcome, more, visible)
     if _ask_again(outcome) and outcome.state.without_background() is not outcome.state:
-        more(outcome, MOST)  # with other laws, the static remainder may be more than ordinary
+        more(outcome, acceptance.MOST)  # with other laws, the static remainder may be more than ordinary
     name_candidates(outcome)
     outcome.loss = held_out_loss(outcome)
     return outcome
@@ -91,9 +76,11 @@ def _one_by_one(outcome: Outcome, most: int, tell: Callable[[str], None], visibl
         state = before.without_background()
         ranking = ranked(state, every, taken)
         if body.free_map or body.record.model.kind != "rod":  # another rod's own error is its noise
-            body.ordinary_mm = ordinary(state, ranking, every)
-        if is_ordinary(ranking, state) or (state is not before and not beyond_ordinary(ranking, state)):
-            state = State(body, state.fit, state.beside, [f for f in every if f.name in BACKGROUND])
+            body.ordinary_mm = acceptance.ordinary(state, ranking, every)
+        if acceptance.is_ordinary(ranking, state) or (
+            state is not before and not acceptance.beyond_ordinary(ranking, state)
+        ):
+            state = State(body, state.fit, state.beside, [f for f in every if f.name in acceptance.BACKGROUND])
             ranking = ranked(state, [f for f in every if f.kind != "static"], taken)
         outcome.state, outcome.loss = state, ranking.found
         step = None if outcome.steps else _miswired(ranking, state, outcome.fits)
@@ -109,17 +96,17 @@ def _one_by_one(outcome: Outcome, most: int, tell: Callable[[str], None], visibl
 
 def _next(ranking: Ranking, state: State, fits: Fits, outcome: Outcome, visible: float) -> Step | None:
     """Return the next family to take, or None; the outcome keeps a hint where the best was not accepted."""
-    single = one_pose(state.body)
+    single = acceptance.one_pose(state.body)
     rows = _in_order(_laws_alone(ranking, state, fits) if single else _static_settled(ranking, state), ranking)
     if not rows:
         return None
     later, best = bool(outcome.steps), rows[0]
-    able = [row for row in rows if accepted(row, ranking, state, later, visible)]
+    able = [row for row in rows if acceptance.accepted(row, ranking, state, later, visible)]
     rod = state.body.record.model.kind == "rod"  # its own error counts as noise, which another law may explain
-    if best not in able and (rod or stands_out(ranking.before, state.body, later)):
+    if best not in able and (rod or acceptance.stands_out(ranking.before, state.body, later)):
         # an event, or a law far from every column: the representative may not show it
-        by_law = [_by_law(row, ranking, state, fits) for row in rows[:ASKED]]
-        able = [row for row in by_law if accepted(row, ranking, state, later, visible)]
+        by_law = [_by_law(row, ranking, state, fits) for row in rows[: acceptance.ASKED]]
+        able = [row for row in by_law if acceptance.accepted(row, ranking, state, later, visible)]
         best = min((best, *able), key=lambda row: float(row.loss.sum()))
         able.sort(key=lambda row: float(row.loss.sum()))
     gain = float(ranking.before.sum() - best.loss.sum())
@@ -138,20 +125,20 @@ def _next(ranking: Ranking, state: State, fits: Fits, outcome: Outcome, visible:
         answers = [a for a in answers if near(a.least, best_loss, ranking.found)]
     answers = [a for a in answers if not _excluded(a, answers, ranking, state)]
     first, *rest = sorted(answers, key=lambda a: (
-        not a.resolved, _beaten(a, answers), order_of(a.family), a.numbers, float(a.loss.sum())
+        not a.resolved, _beaten(a, answers), acceptance.order_of(a.family), a.numbers, float(a.loss.sum())
     ))  # fmt: skip
-    return Step(first, tuple(a for a in rest if indistinct(a, first, ranking, state)))
+    return Step(first, tuple(a for a in rest if acceptance.indistinct(a, first, ranking, state)))
 
 
 def _split(answer: Answer, state: State, fits: Fits) -> Answer:
     """Return an answer whose law has a number for each channel or cable, if that law leaves far less."""
     law, body = answer.law, state.body
-    if law is None or not answer.resolved or law.split or not stands_out(law.loss, body, laws=True):
+    if law is None or not answer.resolved or law.split or not acceptance.stands_out(law.loss, body, laws=True):
         return answer
     each = law_of(state, fits, law.effects, answer.before, law.effects)
-    if each.numbers == law.numbers or not falls_on(law.loss, each.loss, body, laws=True):
+    if each.numbers == law.numbers or not acceptance.falls_on(law.loss, each.loss, body, laws=True):
         return answer
-    equals = tuple(one for one in answer.equals if not falls_on(one.loss, each.loss, body, laws=True))
+    equals = tuple(one for one in answer.equals if not acceptance.falls_on(one.loss, each.loss, body, laws=True))
     return replace(answer, law=each, equals=equals, reaching=(*answer.reaching, each), tried=(each, *answer.tried))
 
 
@@ -162,7 +149,7 @@ def _static_settled(ranking: Ranking, state: State) -> list[Representative]:
     """
     rows, body = ranking.rows, state.body
     doubtful = [rows[0].loss if rows[0].family.kind == "static" else ranking.before] if rows else []
-    if not any(stands_out(loss, body, laws=True) for loss in doubtful):
+    if not any(acceptance.stands_out(loss, body, laws=True) for loss in doubtful):
         return rows
     static = [row for row in rows if row.family.kind == "static" and row.columns.commanded and np.any(row.theta)]
     settled = {row.family: linearised(state, row)[0] for row in static}
@@ -177,9 +164,9 @@ def _laws_alone(ranking: Ranking, state: State, fits: Fits) -> list[Representati
 
 def _in_order(rows: Sequence[Representative], ranking: Ranking) -> list[Representative]:
     """Return rows with the least loss first; the free static shape is last, unless it does far more than the others."""
-    ordered = sorted(rows, key=lambda row: (row.family.name == CATCH_ALL, float(row.loss.sum())))
+    ordered = sorted(rows, key=lambda row: (row.family.name == acceptance.CATCH_ALL, float(row.loss.sum())))
     gains = [float(ranking.before.sum() - row.loss.sum()) for row in ordered]
-    if ordered and ordered[-1].family.name == CATCH_ALL and gains[-1] > rule.DOMINATES * gains[0]:
+    if ordered and ordered[-1].family.name == acceptance.CATCH_ALL and gains[-1] > rule.DOMINATES * gains[0]:
         ordered = [ordered[-1], *ordered[:-1]]
     return ordered
 
@@ -192,7 +179,7 @@ def _tied(able: list[Representative], ranking: Ranking, state: State, single: bo
         tied = [row for row in able if rule.reaches(row.loss, best, explained, rule.FORM_MOST)]
     else:
         tied = [row for row in able if near(row.loss, best, ranking.before) or _ordinary_apart(row, able[0], state)]
-    if any(row.family.name == CATCH_ALL for row in tied):  # a law may bend more sharply than a spline
+    if any(row.family.name == acceptance.CATCH_ALL for row in tied):  # a law may bend more sharply than a spline
         tied += [row for row in able if row.family.kind == "static" and row not in tied]
     return tied
 
@@ -213,11 +200,11 @@ def _excluded(one: Answer, others: Sequence[Answer], ranking: Ranking, state: St
 
     One that does here what static columns can do does not exclude a static family.
     """
-    if not stands_out(one.least, state.body, laws=True):
+    if not acceptance.stands_out(one.least, state.body, laws=True):
         return False
     clear = [a for a in others if rule.clears(a.least, one.least, state.body.problem.numbers)]
     apart = [a for a in clear if a.family.kind != one.family.kind]
-    return any(one.family.kind != "static" or not does_the_same(a, one, ranking, state) for a in apart)
+    return any(one.family.kind != "static" or not acceptance.does_the_same(a, one, ranking, state) for a in apart)
 
 
 def _ordinary_apart(one: Representative, other: Representative, state: State) -> bool:
@@ -257,7 +244,7 @@ def _miswired(ranking: Ranking, state: State, fits: Fits) -> Step | None:
     They are asked for only where the model is off by a good part of the motion.
     """
     record = state.body.record
-    off, motion = record.rms_mm(state.residual), motion_mm(record)
+    off, motion = record.rms_mm(state.residual), acceptance.motion_mm(record)
     if "servo_swap" not in fits.candidates or off < rule.MISWIRED * motion or not ranking.rows:
         return None
     law = law_of(state, fits, ("servo_swap",), ranking.found)

@@ -13,16 +13,8 @@ from itertools import chain
 import numpy as np
 from numpy.typing import NDArray
 
+from softmap_edge.diagnosis import acceptance
 from softmap_edge.diagnosis import decision as rule
-from softmap_edge.diagnosis.acceptance import (
-    ASKED,
-    BACKGROUND,
-    MOST,
-    exceeds_model_error,
-    falls_on,
-    indistinct,
-    one_pose,
-)
 from softmap_edge.diagnosis.decision import near
 from softmap_edge.diagnosis.families import Body, Family, Ranking, Representative, State, families, ranked
 from softmap_edge.diagnosis.fits import Fits
@@ -51,19 +43,19 @@ def completed(outcome: Outcome, more: More, visible: float) -> Outcome:
     """
     few, tried = _few_laws(outcome), []
     if outcome.steps:
-        several = not one_pose(outcome.body) and outcome.steps[0].family.name != "wiring"
+        several = not acceptance.one_pose(outcome.body) and outcome.steps[0].family.name != "wiring"
         for laws in few if several and _left_with_imperfections(outcome) > rule.LEFT else ():
             tried.append(laws)
             found = _explained(laws, outcome, more, visible)
             if found is not None:
                 return found
-        more(outcome, MOST)
+        more(outcome, acceptance.MOST)
     return _reconsidered(outcome, chain(tried, few), more, visible)
 
 
 def _left_with_imperfections(outcome: Outcome) -> float:
     """Return the unexplained share if the families of ordinary imperfections explain what they can."""
-    background = [family for family in families() if family.name in BACKGROUND]
+    background = [family for family in families() if family.name in acceptance.BACKGROUND]
     other = replace(outcome, state=State(outcome.body, outcome.fit, outcome.state.beside, background))
     other.loss = held_out_loss(other)
     return other.left
@@ -84,7 +76,7 @@ def _explained(laws: Law, outcome: Outcome, more: More, visible: float) -> Outco
         return None
     other = _confirmed(laws, outcome, visible, True)
     if other is not None:
-        more(other, MOST)
+        more(other, acceptance.MOST)
         other.loss = held_out_loss(other)
         if not other.open and other.left <= rule.LEFT:
             return _with_others(other, outcome)
@@ -96,7 +88,7 @@ def _reconsidered(outcome: Outcome, few: Iterable[Law], more: More, visible: flo
     """Return what a `few` laws at once explain, if that replaces what was found family by family."""
     steps, rod = outcome.steps, outcome.body.record.model.kind == "rod"
     hinted = bool(steps) or (rod and outcome.hint is not None)  # against a rod's own error one family alone is small
-    if not hinted or one_pose(outcome.body) or any(step.family.name == "wiring" for step in steps):
+    if not hinted or acceptance.one_pose(outcome.body) or any(step.family.name == "wiring" for step in steps):
         return outcome
     clear = len(steps) == 1 and steps[0].answer.resolved and not steps[0].others
     if clear and outcome.left <= rule.LEFT:
@@ -110,7 +102,7 @@ def _reconsidered(outcome: Outcome, few: Iterable[Law], more: More, visible: flo
             continue
         other.loss = held_out_loss(other)
         stands = _stands_for(other, best)
-        more(other, MOST)
+        more(other, acceptance.MOST)
         other.loss = held_out_loss(other)
         if not stands and not _stands_for(other, best):
             outcome.body.ordinary_mm = ordinary_mm
@@ -133,12 +125,12 @@ def _with_others(other: Outcome, outcome: Outcome) -> Outcome:
         state = State(other.body, other.plain.get(rest, split))
         ranking = ranked(state, [f for f in families() if f not in known or f == step.family], [], PROMISING)
         rows = [row for row in ranking.rows if row.family != step.family]
-        rows = [row for row in rows if near(row.loss, step.answer.loss, ranking.found)][:ASKED]
+        rows = [row for row in rows if near(row.loss, step.answer.loss, ranking.found)][: acceptance.ASKED]
         beside = [answered(state, other.plain, row, ranking.found, pairs=False) for row in rows]
         if len(other.steps) == len(outcome.steps) == 1:
             beside += [a for a in (outcome.steps[0].answer, *outcome.steps[0].others) if a.family != step.family]
         beside = [a for a in beside if a.law is None or a.law.effects != own.effects]
-        others = {a.family: a for a in beside if indistinct(a, step.answer, ranking, state)}
+        others = {a.family: a for a in beside if acceptance.indistinct(a, step.answer, ranking, state)}
         other.steps[i] = Step(step.answer, tuple(others.values()))
     return other
 
@@ -148,7 +140,7 @@ def _stands_for(other: Outcome, outcome: Outcome) -> bool:
 
     What static families explain alone needs no other kind: an event can do much of what a static map does.
     """
-    if falls_on(outcome.loss, other.loss, outcome.body) and other.open <= outcome.open:
+    if acceptance.falls_on(outcome.loss, other.loss, outcome.body) and other.open <= outcome.open:
         return True
     fewer = other.open < outcome.open or (other.open == outcome.open and len(other.steps) < len(outcome.steps))
     kinds, known = ({_kind(step.family) for step in one.steps} for one in (other, outcome))
@@ -189,9 +181,11 @@ def _confirmed(few: Law, outcome: Outcome, visible: float, together: bool) -> Ou
             return None
         moved = body.record.rms_mm(plain.displacement(answer.law.fit, answer.law.effects[0]))
         lasting = answer.family.kind in ("static", "time")  # as ordinary imperfections do, or from some instant on
-        if moved < max(visible, body.ordinary_mm * lasting) or not falls_on(answer.before, answer.law.loss, body):
+        if moved < max(visible, body.ordinary_mm * lasting) or not acceptance.falls_on(
+            answer.before, answer.law.loss, body
+        ):
             return None
-        if not exceeds_model_error(answer.family, moved, _without_map(body, plain, names)):
+        if not acceptance.exceeds_model_error(answer.family, moved, _without_map(body, plain, names)):
             return None
         other.steps.append(Step(answer, ()))
         # With the others in place, another law of the family may be its law.
@@ -253,7 +247,9 @@ def _few_laws(outcome: Outcome) -> Iterator[Law]:
         for law in _laws_on(state, fits, names, ranking.found):
             pairs[frozenset((*first.effects, *law.effects))] = _joined(first, law)
     one, two = (min(laws, key=lambda law: law.left, default=None) for laws in (firsts.values(), pairs.values()))
-    if two is not None and (MOST < 2 or (one is not None and not falls_on(one.loss, two.loss, body))):
+    if two is not None and (
+        acceptance.MOST < 2 or (one is not None and not acceptance.falls_on(one.loss, two.loss, body))
+    ):
         two = None
     if two is not None:
         yield two
@@ -274,31 +270,31 @@ def _best_singles(null: State, fits: Fits, before: Floats) -> dict[Family, Law]:
     firsts: dict[Family, Law] = {}
     for row in ranked(null, families(), []).rows:
         gain, most = total - float(row.loss.sum()), max((law.left for law in firsts.values()), default=0.0)
-        if gain < rule.FALL * total or (len(firsts) == ASKED and rule.DOMINATES * gain < total - most):
+        if gain < rule.FALL * total or (len(firsts) == acceptance.ASKED and rule.DOMINATES * gain < total - most):
             break
         known = {name for law in laws for name in law.effects}
         laws += _laws_on(null, fits, [name for name in row.family.members if name not in known], before)
         homes: dict[Family, Law] = {}
         for law in sorted(laws, key=lambda law: law.left):
             homes.setdefault(_home(law.effects[0]), law)
-        firsts = dict(list(homes.items())[:ASKED])
+        firsts = dict(list(homes.items())[: acceptance.ASKED])
     return firsts
 
 
 def _more_laws(few: Law, body: Body, fits: Fits) -> Law | None:
     """Return a set of laws with the laws of more families that lower its loss enough, or None."""
     found = few
-    while len(found.effects) < MOST:
+    while len(found.effects) < acceptance.MOST:
         assert found.fit is not None
         state, taken = State(body, found.fit), {_home(name) for name in found.effects}
         ranking = ranked(state, [f for f in families() if f not in taken], [], PROMISING)
         best = found
-        for row in ranking.rows[:ASKED]:
+        for row in ranking.rows[: acceptance.ASKED]:
             if not near(row.loss, best.loss, ranking.found):
                 continue  # no law of this family will do more
             names = [n for n in row.family.members if _home(n) == row.family]
             best = min([best, *_laws_on(state, fits, names, ranking.found)], key=lambda law: law.left)
-        if best is found or not falls_on(found.loss, best.loss, body):
+        if best is found or not acceptance.falls_on(found.loss, best.loss, body):
             break
         found = _joined(found, best)
     return None if found is few else found
