@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from softmap_edge.diagnosis import decision as rule
 from softmap_edge.diagnosis.decision import difference, seen_to_fall
-from softmap_edge.diagnosis.families import WARMED, State, best_ridge, declared_numbers, families, seen_commands
+from softmap_edge.diagnosis.families import WARMED, State, best_ridge, declared, families, seen_commands
 from softmap_edge.diagnosis.outcome import Outcome
 
 Floats = NDArray[np.float64]
@@ -70,7 +70,7 @@ def changing(outcome: Outcome) -> list[Change]:
 def conditions_of(state: State) -> dict[str, Floats]:
     """Return what varies over the frames (K,) of a record, each with mean 0 and variance 1."""
     body, rows = state.body, []
-    warm = [declared_numbers(part.run.temperature, len(part.run.t)) for part in body.parts]
+    warm = [declared(part.run.temperature, len(part.run.t)) for part in body.parts]
     known = all(row is not None and np.ptp(row) >= WARMED for row in warm)
     for part, commands, temperature in zip(body.parts, state.commands, warm):
         t, seen = np.asarray(part.run.t, float), np.asarray(part.t_seen, float)

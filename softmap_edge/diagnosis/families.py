@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cache, cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,7 +29,6 @@ WARMED = 0.5  # K that a run must warm by
 REACH = 0.15  # of the range of a parameter, at which the signature of a field is taken
 FAR = 0.5  # the same of an effect on commands, whose form changes with its size
 PLACES = (0.2, 0.5, 0.8)  # of the range of a parameter that says where: signatures are taken there
-MODES = 8  # leading spatial modes of a free static shape
 AT_BOUND = 1e-6  # of the scale of a parameter
 FREE_MM = 0.9  # mm RMS of the body that one such column moves it by
 MAPPED = ("static map", "coupling")  # families that span a learned static map
@@ -40,7 +39,8 @@ LINEARISED = 6  # times at most that a representative is linearised about itself
 HALVED = 3  # times at most that it is halved, if the loss is higher with it than without it
 
 
-CURVES: dict[str, Callable[[Floats], Floats]] = {
+CURVES: dict[str, Callable[[Floats], Floats]] = {  # of a channel
+    "u": lambda x: x,
     "u²": np.square,
     "|u|": np.abs,
     "u|u|": lambda x: x * np.abs(x),
@@ -61,23 +61,36 @@ class Family:
 
     name: str
     kind: str  # what it depends on: "static", "memory", "time" or "condition"
-    doc: str
     members: tuple[str, ...]  # effects that may be its law
-    fields: tuple[str, ...]  # effects whose signatures are among its columns
-    mimics: tuple[str, ...]  # families that can look like it
-    needs: tuple[str, ...]  # what a run must declare
+    fields: tuple[str, ...] = ()  # effects whose signatures are among its columns
+    modes: int = 0  # free shapes among its columns
     experiment: tuple[str, float] = ("", 0.0)  # what separates it from families that look like it, and the minutes
 
 
+@cache
 def families() -> tuple[Family, ...]:
     """Return the families of the registry, in its order."""
     return tuple(
         Family(
-            row["name"], row["kind"], row["doc"], tuple(row["members"]), tuple(row["fields"]), tuple(row["mimics"]),
-            tuple(row["needs"]), tuple(row["experiment"]),
+            row["name"],
+            row["kind"],
+            tuple(row["members"]),
+            tuple(row["fields"]),
+            row["modes"],
+            tuple(row["experiment"]),
         )
         for row in _core.families()
-    )  # fmt: skip
+    )
+
+
+@cache
+def _homes() -> dict[str, Family]:
+    return {effect: family for family in reversed(families()) for effect in family.members}
+
+
+def home(effect: str) -> Family | None:
+    """Return the first family that an effect may be a law of; None for a gross fault and for a user's own effect."""
+    return _homes().get(effect)
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,8 +156,8 @@ class Body:
             own = np.ascontiguousarray(params[column][: len(chain.labels)])
             t = np.asarray(run.t, float)
             rows = chain.rollout(
-                own[None], np.ascontiguousarray(part.u), t, gravity=_vectors(run.gravity, len(t)),
-                load=declared_numbers(run.load, len(t)), temperature=declared_numbers(run.temperature, len(t)),
+                own[None], np.ascontiguousarray(part.u), t, gravity=declared(run.gravity, len(t), 3),
+                load=declared(run.load, len(t)), temperature=declared(run.temperature, len(t)),
             )  # fmt: skip
             out.append(np.ascontiguousarray(rows[0]))
         return out
@@ -180,14 +193,14 @@ class Body:
     @cached_property
     def _temperatures(self) -> list[Floats | None]:
         """Temperature (T,) °C of each run; None where not all of them warm: a bank scales what one run shows."""
-        rows = [declared_numbers(part.run.temperature, len(part.run.t)) for part in self.parts]
+        rows = [declared(part.run.temperature, len(part.run.t)) for part in self.parts]
         known = [row for row in rows if row is not None and np.ptp(row) >= WARMED]
         return list(known) if len(known) == len(rows) else [None] * len(rows)
 
     @cached_property
     def _orientations(self) -> tuple[NDArray[np.int64] | None, list[NDArray[np.int64] | None]]:
         """Codes of all orientations, and which of them each sample (T,) of a run is in; None where there is one."""
-        rows = [_vectors(part.run.gravity, len(part.run.t)) for part in self.parts]
+        rows = [declared(part.run.gravity, len(part.run.t), 3) for part in self.parts]
         known = [np.round(row, TURNED) for row in rows if row is not None]
         if len(known) < len(rows):
             return None, [None] * len(rows)
@@ -220,8 +233,7 @@ class Body:
         if family.name not in self._signatures:
             singles = [self.single(name) for name in family.fields if name in self.candidates]
             rows = [field for own in singles if own is not None for field in own.base]
-            if family.name == "static shape":
-                rows = self._free_shapes()
+            rows += self._free_shapes(family.modes) if family.modes else []
             self._signatures[family.name] = np.stack(rows) if rows else np.zeros((0, *self.record.seen.shape))
         return self._signatures[family.name]
 
@@ -240,17 +252,17 @@ class Body:
         seen = np.concatenate([seen_commands(p, v) for p, v in zip(self.parts, commands)])
         x, channels = (seen - self.middle) / self.half, len(self.half)
         found = {}
-        for name, curve in CURVES.items():
-            found[name] = Columns(slopes, np.arange(channels), (self.half * curve(x)).T.copy(), channels)
+        for name in [name for name in CURVES if name != "u"]:
+            found[name] = Columns(slopes, np.arange(channels), (self.half * CURVES[name](x)).T.copy(), channels)
         for name, product in PRODUCTS.items() if channels > 1 else ():
             pairs = [(c, k) for c in range(channels) for k in range(channels) if k != c]
             weight = np.stack([self.half[c] * product(x[:, c], x[:, k]) for c, k in pairs])
             found[name] = Columns(slopes, np.array([c for c, _ in pairs]), weight, len(pairs))
         return found
 
-    def _free_shapes(self) -> list[Floats]:
+    def _free_shapes(self, count: int) -> list[Floats]:
         """Return the leading spatial modes of what candidates do, as shapes that do not change."""
-        shapes = np.linalg.pinv(self.weights)[:MODES]
+        shapes = np.linalg.pinv(self.weights)[:count]
         size = [self.record.rms_mm(np.tile(s, (len(self.record), 1))) for s in shapes]
         return [np.tile(FREE_MM * s / max(mm, 1e-9), (len(self.record), 1)) for s, mm in zip(shapes, size)]
 
@@ -561,11 +573,6 @@ def seen_commands(part: Record, commands: Floats) -> Floats:
     return np.ascontiguousarray(np.reshape(rows, (commands.shape[1], part.frames)).T)
 
 
-def declared_numbers(values: object, count: int) -> Floats | None:
-    """Return what a run declares as one number a sample (T,)."""
-    return None if values is None else np.ascontiguousarray(np.broadcast_to(np.asarray(values, float), (count,)))
-
-
-def _vectors(values: object, count: int) -> Floats | None:
-    """Return what a run declares as one vector a sample (T, 3)."""
-    return None if values is None else np.ascontiguousarray(np.broadcast_to(np.asarray(values, float), (count, 3)))
+def declared(values: object, *shape: int) -> Floats | None:
+    """Return what a run declares for each sample, in a `shape` (T,) or (T, 3); None where it declares nothing."""
+    return None if values is None else np.ascontiguousarray(np.broadcast_to(np.asarray(values, float), shape))

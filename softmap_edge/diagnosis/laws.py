@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from softmap_edge.diagnosis import decision as rule
 from softmap_edge.diagnosis.evidence import at_bound
 from softmap_edge.diagnosis.families import (
+    CURVES,
     Body,
     Columns,
     Commands,
@@ -33,18 +34,11 @@ from softmap_edge.diagnosis.fits import Fits
 from softmap_edge.folds import GAP
 
 Floats = NDArray[np.float64]
-Curve = Callable[[Floats], Floats]
 
 WINDING = "eccentric_pulley"  # whose five numbers make it many smooth maps
 PAIRED = 3  # members of which pairs are tried
 MANY_LAWS = ("static", "time")  # kinds of families that smooth curves of many laws can explain
-GENERIC: dict[str, tuple[Curve, ...]] = {
-    "u|u|": (lambda x: x * np.abs(x),),
-    "u³": (lambda x: x**3,),
-    "u, u|u|": (lambda x: x, lambda x: x * np.abs(x)),
-    "u, u³": (lambda x: x, lambda x: x**3),
-    "u, u², u³": (lambda x: x, lambda x: x**2, lambda x: x**3),
-}
+GENERIC = ("u|u|", "u³", "u, u|u|", "u, u³", "u, u², u³")  # sums of CURVES, which no effect stands for
 GENERIC_RIDGE = 0.3
 
 
@@ -209,13 +203,14 @@ class _Asked:
     def generic(self) -> list[Law]:
         """Fit generic laws of a static map, with one set of numbers and with one for each channel."""
         laws = []
-        for name, curves in GENERIC.items():
+        for name in GENERIC:
+            curves = [CURVES[curve] for curve in name.split(", ")]
             laws.append(self._generic(f"{name} on each channel", curves, False))
             if len(curves) == 1 and len(self.body.half) > 1:
                 laws.append(self._generic(f"{name} on all channels", curves, True))
         return laws
 
-    def _generic(self, name: str, curves: Sequence[Curve], shared: bool) -> Law:
+    def _generic(self, name: str, curves: Sequence[Callable[[Floats], Floats]], shared: bool) -> Law:
         """Fit u + Σ θ · curve(u), with the same θ for all channels or with one for each."""
         body, state = self.body, self.state
         channels = len(body.half)

@@ -251,7 +251,7 @@ def _miswired(ranking: Ranking, state: State, fits: Fits) -> Step | None:
     best = ranking.rows[0]
     if law.loss.sum() > best.loss.sum() + rule.FORM * (ranking.found.sum() - best.loss.sum()):
         return None
-    family = Family("wiring", "static", "Servos are exchanged or turn the other way.", ("servo_swap",), (), (), ())
+    family = Family("wiring", "static", ("servo_swap",))
     stand_in = _stand_in(family, law, fits)
     return Step(Answer(family, stand_in, ranking.found, law, (), False, (law,), (law,)), ())
 

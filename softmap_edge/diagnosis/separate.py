@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Collection
 
-from softmap_edge.diagnosis.families import Family, families
+from softmap_edge.diagnosis.families import families, home
 
 SPECIAL = ("static", "memory", "time", "condition")  # kinds of input; a later one is varied by itself more easily
 
@@ -29,5 +29,4 @@ def separating(one: str, other: str) -> tuple[str, float] | None:
 
 def families_of(effects: Collection[str]) -> tuple[str, ...]:
     """Return the families that effects belong to, the first of each."""
-    found = [next((f for f in families() if e in f.members), None) for e in effects]
-    return tuple(dict.fromkeys(f.name for f in found if isinstance(f, Family)))
+    return tuple(dict.fromkeys(family.name for e in effects if (family := home(e)) is not None))

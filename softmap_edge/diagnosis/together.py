@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from softmap_edge.diagnosis import acceptance
 from softmap_edge.diagnosis import decision as rule
 from softmap_edge.diagnosis.decision import near
-from softmap_edge.diagnosis.families import Body, Family, Ranking, Representative, State, families, ranked
+from softmap_edge.diagnosis.families import Body, Family, Ranking, Representative, State, families, home, ranked
 from softmap_edge.diagnosis.fits import Fits
 from softmap_edge.diagnosis.laws import WINDING, Answer, Law, answered, law_of, winds
 from softmap_edge.diagnosis.outcome import Outcome, Step, held_out_loss
@@ -68,8 +68,8 @@ def _explained(laws: Law, outcome: Outcome, more: More, visible: float) -> Outco
     what other families do. Else families are asked one by one first.
     """
     body, ordinary_mm = outcome.body, outcome.body.ordinary_mm
-    first, homes = outcome.steps[0].family, {_home(name) for name in laws.effects}
-    if first not in homes or any(family.kind == "time" for family in homes - {first}):
+    first, homes = outcome.steps[0].family, {home(name) for name in laws.effects}
+    if first not in homes or any(family is not None and family.kind == "time" for family in homes - {first}):
         return None
     assert laws.fit is not None
     if _left_with_imperfections(replace(outcome, state=State(body, laws.fit), steps=[])) > rule.LEFT:
@@ -211,18 +211,15 @@ def _reached(answer: Answer, name: str) -> Answer:
 
 def _without_map(body: Body, fits: Fits, names: Collection[str]) -> State:
     """Return the state with the laws that are neither static nor drifts: those change a map, together."""
-    return State(body, fits.get([e for e in names if _home(e).kind not in ("static", "time")]))
-
-
-def _home(effect: str) -> Family:
-    """Return the first family that an effect may be a law of."""
-    return next(f for f in families() if effect in f.members)
+    kinds = {e: family.kind for e in names if (family := home(e)) is not None}
+    return State(body, fits.get([e for e in names if kinds.get(e) not in ("static", "time")]))
 
 
 def _in_place(without: State, fits: Fits, name: str) -> Answer | None:
     """Ask the family of an effect for its law, with all other effects in place."""
-    ranking = ranked(without, [_home(name)], [])
-    if not ranking.rows:
+    family = home(name)
+    ranking = None if family is None else ranked(without, [family], [])
+    if ranking is None or not ranking.rows:
         return None
     return answered(without, fits, ranking.rows[0], ranking.found, pairs=False)
 
@@ -233,17 +230,17 @@ def _few_laws(outcome: Outcome) -> Iterator[Law]:
     null = State(body, fits.null)
     firsts = _best_singles(null, fits, before)
     found: list[tuple[Law, State, Ranking, Representative]] = []
-    for home, first in firsts.items():
+    for known, first in firsts.items():
         assert first.fit is not None
         state = State(body, first.fit)
-        ranking = ranked(state, [f for f in families() if f != home], [], PROMISING)
+        ranking = ranked(state, [f for f in families() if f != known], [], PROMISING)
         found += [(first, state, ranking, row) for row in ranking.rows]
     pairs: dict[frozenset[str], Law] = {}
     for first, state, ranking, row in sorted(found, key=lambda one: float(one[3].loss.sum()))[:TOGETHER]:
         if pairs and not near(row.loss, min(pairs.values(), key=lambda law: law.left).loss, before):
             continue  # no law of this family will do more
-        home = _home(first.effects[0])  # pairs of one family belong to its own question
-        names = [n for n in row.family.members if _home(n) != home and frozenset((*first.effects, n)) not in pairs]
+        own = home(first.effects[0])  # pairs of one family belong to its own question
+        names = [n for n in row.family.members if home(n) != own and frozenset((*first.effects, n)) not in pairs]
         for law in _laws_on(state, fits, names, ranking.found):
             pairs[frozenset((*first.effects, *law.effects))] = _joined(first, law)
     one, two = (min(laws, key=lambda law: law.left, default=None) for laws in (firsts.values(), pairs.values()))
@@ -276,7 +273,8 @@ def _best_singles(null: State, fits: Fits, before: Floats) -> dict[Family, Law]:
         laws += _laws_on(null, fits, [name for name in row.family.members if name not in known], before)
         homes: dict[Family, Law] = {}
         for law in sorted(laws, key=lambda law: law.left):
-            homes.setdefault(_home(law.effects[0]), law)
+            if (family := home(law.effects[0])) is not None:
+                homes.setdefault(family, law)
         firsts = dict(list(homes.items())[: acceptance.ASKED])
     return firsts
 
@@ -286,13 +284,13 @@ def _more_laws(few: Law, body: Body, fits: Fits) -> Law | None:
     found = few
     while len(found.effects) < acceptance.MOST:
         assert found.fit is not None
-        state, taken = State(body, found.fit), {_home(name) for name in found.effects}
+        state, taken = State(body, found.fit), {home(name) for name in found.effects}
         ranking = ranked(state, [f for f in families() if f not in taken], [], PROMISING)
         best = found
         for row in ranking.rows[: acceptance.ASKED]:
             if not near(row.loss, best.loss, ranking.found):
                 continue  # no law of this family will do more
-            names = [n for n in row.family.members if _home(n) == row.family]
+            names = [n for n in row.family.members if home(n) == row.family]
             best = min([best, *_laws_on(state, fits, names, ranking.found)], key=lambda law: law.left)
         if best is found or not acceptance.falls_on(found.loss, best.loss, body):
             break
