@@ -139,7 +139,7 @@ def accepted(fall=600.0, before=800.0, numbers=100.0, moved=1.0, kind="memory", 
     static = more.get("static_mm", 3.0)
     record = SimpleNamespace(
         positions=None, form_mm=more.get("form", 0.0), seen=np.zeros((1, 3)),
-        rms_mm=lambda _: static, model=SimpleNamespace(kind=more.get("model", "table")),
+        rms_mm=lambda _: static, error_is_noise=more.get("noisy", False),
     )  # fmt: skip
     noise = SimpleNamespace(replicates=True, rms_mm=lambda _: more.get("noise", 0.0))
     state = SimpleNamespace(
@@ -156,10 +156,10 @@ def test_a_family_is_accepted_by_its_fall_and_by_what_it_moves():
     assert not accepted(fall=-1.0) and not accepted(moved=0.05) and not accepted(moved=0.2, visible=0.3)
     assert not accepted(noise=4.0) and not accepted(kind="static", form=2.0)  # below noise, below the model's error
     assert accepted(kind="memory", form=2.0)  # which has no memory
-    assert accepted(kind="static", form=2.0, model="rod")  # whose own error is in its noise
+    assert accepted(kind="static", form=2.0, noisy=True)  # whose own error is in its noise
     small = dict(fall=200.0, numbers=100.0)
-    assert accepted(**small, kind="static") and accepted(**small, model="rod")
-    assert not accepted(**small, kind="static", model="rod")  # a rod may err as much on any run
+    assert accepted(**small, kind="static") and accepted(**small, noisy=True)
+    assert not accepted(**small, kind="static", noisy=True)  # a rod may err as much on any run
     assert not accepted(fall=100.0, numbers=801.0) and accepted(numbers=801.0)  # a share of all loss, within noise
 
 

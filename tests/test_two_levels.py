@@ -220,15 +220,16 @@ def law(name, loss, numbers, **params):
     return Law(name, effects, fit, np.full(8, loss / 8), numbers)
 
 
-def judged(*laws, representative=100.0, before=1000.0, half=10.0, kind="static", spool=None, model="table"):
+def judged(*laws, representative=100.0, before=1000.0, half=10.0, kind="static", spool=None, noisy=False):
     """The answer of level 2 for a family whose representative leaves `representative` of `before`."""
     asked = object.__new__(_Asked)
     asked.form, asked.before = 0.025, np.full(8, before / 8)
     asked.representative = SimpleNamespace(
-        family=SimpleNamespace(name="static map", kind=kind), loss=np.full(8, representative / 8), numbers=9.0
-    )
+        family=SimpleNamespace(name="static map", kind=kind),
+        loss=np.full(8, representative / 8), left=representative, numbers=9.0,
+    )  # fmt: skip
     asked.fits = SimpleNamespace(candidates=["gain", "offset", "asymmetry", "eccentric_pulley"])
-    record = SimpleNamespace(spool=spool, model=SimpleNamespace(kind=model))
+    record = SimpleNamespace(spool=spool, error_is_noise=noisy)
     asked.body = SimpleNamespace(half=np.array([half]), problem=SimpleNamespace(numbers=60.0), record=record)
     return asked.judged(list(laws))
 
@@ -254,7 +255,7 @@ def test_a_static_law_that_does_most_of_its_family_is_the_candidate_of_an_open_o
     assert judged(*laws, kind="time").law.name == "gain"
     memory = judged(*laws, kind="memory")
     assert memory.law.name == "gain" and memory.rough and not memory.open and not memory.resolved
-    assert judged(*laws, kind="memory", model="rod").law is None  # its own error is part of its noise
+    assert judged(*laws, kind="memory", noisy=True).law is None  # its own error is part of its noise
     assert judged(law("gain", 500, 1), kind="memory").law is None  # it explains less than 0.6 of what the family does
     pulley = law("eccentric_pulley", 110, 5, **{"eccentric_pulley.radius": 8.0})
     assert judged(pulley, *laws).law.name == "gain"  # less than a turn of a sine is any smooth map
@@ -457,7 +458,7 @@ def test_sets_of_laws_are_tried_until_one_leaves_nothing_unknown(monkeypatch):
     """Two laws, more laws, one law: what is not confirmed, or stands for nothing, is passed over."""
     sets = [law("gain+mount", 90, 8), law("gain+mount+creep", 80, 11), law("gain", 100, 2)]
     step = SimpleNamespace(family=SimpleNamespace(name="body"), answer=SimpleNamespace(resolved=False), others=())
-    body = SimpleNamespace(record=SimpleNamespace(model=SimpleNamespace(kind="table")), ordinary_mm=0.1)
+    body = SimpleNamespace(record=SimpleNamespace(error_is_noise=False), ordinary_mm=0.1)
 
     def found(tried, confirmed, stands, left):
         start = SimpleNamespace(steps=[step], body=body, left=0.5, few=None)

@@ -53,13 +53,13 @@ def accepted(row: Representative, ranking: Ranking, state: State, later: bool, v
         return False  # an event leaves its mark on later folds too
     if static and not beyond_ordinary(ranking, state):
         return False
-    record, rod = state.body.record, state.body.record.model.kind == "rod"
-    if rod and row.family.kind in ("static", "time"):  # the model error of a rod is part of its noise
+    record = state.body.record
+    if record.error_is_noise and row.family.kind in ("static", "time"):
         if difference(ranking.before, row.loss).fall < rule.FALL_NEXT * float(ranking.before.sum()):
             return False
         if not exceeds_model_error(row.family, row.moved_mm, state):
             return False
-    return row.moved_mm >= max(visible, float(noise), record.form_mm if static and not rod else 0.0)
+    return row.moved_mm >= max(visible, float(noise), record.form_mm if static and not record.error_is_noise else 0.0)
 
 
 def exceeds_model_error(family: Family, moved_mm: float, state: State) -> bool:

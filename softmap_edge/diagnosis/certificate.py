@@ -101,11 +101,11 @@ class _Evidence:
         share = len(kept.chosen) / len(outcome.body.record)
         scale = chosen / max(1.0, share * outcome.body.problem.numbers - len(fit.x))
         # A rod's noise is its error on the run, in which the effect that is tested has a share: it may be too large.
-        self.dispersion = scale if outcome.body.record.model.kind == "rod" else max(1.0, scale)
+        self.dispersion = scale if outcome.body.record.error_is_noise else max(1.0, scale)
 
     def of_effect(self, name: str) -> float:
         """Return log10 e of an effect."""
-        numbers = sum(label.split(".")[0] == name for label in self.fit.space.free_labels)
+        numbers = int(self.fit.space.of((name,)).sum())
         return self._log10_e(self.outcome.fits.without(self.fit, name), self.beside, numbers)
 
     def of_family(self, name: str) -> float:

@@ -59,7 +59,7 @@ def changing(outcome: Outcome) -> list[Change]:
         law = step.answer.law
         if not step.answer.resolved or law is None or not set(law.effects) <= set(state.fit.effects):
             continue
-        explained = float(step.answer.before.sum() - step.answer.loss.sum())
+        explained = float(step.answer.before.sum()) - step.answer.left
         shares = {name: _fall(state, law.effects, c) / max(explained, 1e-300) for name, c in conditions.items()}
         most = max(shares, key=lambda name: shares[name], default="")
         if most and shares[most] >= rule.LEFT:
@@ -90,7 +90,7 @@ def conditions_of(state: State) -> dict[str, Floats]:
 def _fall(state: State, effects: tuple[str, ...], condition: Floats) -> float:
     """Return by how much the held-out loss is seen to fall if the numbers of effects change with a condition (K,)."""
     body, fit = state.body, state.fit
-    own = [i for i, label in enumerate(fit.space.free_labels) if label.split(".")[0] in effects]
+    own = np.flatnonzero(fit.space.of(effects))
     level = body.level()
     names, ridges = state.blocks(level)
     each = np.ascontiguousarray(np.tile(condition, (len(own), 1)))

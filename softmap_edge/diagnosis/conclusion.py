@@ -114,7 +114,7 @@ def conclude(outcome: Outcome, fit: Fit, context: Context) -> dict[str, Any]:
     if unknown and not families:
         hints = _memoryless(record, residual)
         if (near := outcome.hint) is not None:
-            share = 1.0 - float(near.loss.sum() / max(float(outcome.null.sum()), 1e-300))
+            share = 1.0 - near.left / max(float(outcome.null.sum()), 1e-300)
             hints.append(FamilyFinding(near.family.name, near.family.kind, "unknown", (), share, near.moved_mm))
         families = tuple(sorted(hints, key=lambda one: -one.share)[:1])
     doubts = [*([str(context.own)] if context.own else []), *at_bounds(findings), *record.doubts, *map(str, changes)]
@@ -176,7 +176,7 @@ def _family(outcome: Outcome, step: Step, proof: Certified | None, changes: Sequ
     """Return what was found of one family."""
     answer, null = step.answer, float(outcome.null.sum())
     explained = max(null - float(outcome.loss.sum()), 1e-300)
-    own = float(answer.before.sum() - answer.representative.loss.sum())
+    own = float(answer.before.sum()) - answer.representative.left
     laws = [law for law in answer.tried if law.effects]
     best = min((law.left for law in laws), default=None)
     named = [answer.law] if answer.law is not None else []
@@ -420,7 +420,7 @@ def _error(outcome: Outcome, order: Sequence[str], other: Record | None) -> Erro
     found = ladder(fits, order, split) if other is None else ladder_on(fits, other, order, split)
     model, static, rungs, both, per_fold = found
     noise, form = problem.noise.rms_mm(record.positions), record.form_mm
-    measured = record.model.kind != "rod"
+    measured = not record.error_is_noise
     replicates = measured and problem.noise.replicates
     kind = "labelled blocks" if labelled(record.block) else "blocks"
     on = f"{kind} of the run that was fitted" if other is None else "an independent run"

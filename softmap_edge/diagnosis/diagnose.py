@@ -230,7 +230,7 @@ def _searched(
     What a residual had learned is an effect if laws of the library explain it. Only if they do not may it be the
     model's own error. A map that was learned with --static is solved again, if a law of memory then explains the run.
     """
-    if record.static is not None and record.model.kind != "rod":
+    if record.static is not None and not record.error_is_noise:
         problem = problem_of(record, candidates, residual=False)
         outcome = search(problem, candidates, progress)
         if outcome.steps and not outcome.open:

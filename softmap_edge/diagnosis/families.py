@@ -127,6 +127,11 @@ class Representative:
     moved_mm: float  # RMS over the places
     settled: bool = False  # whether it is linearised about itself
 
+    @property
+    def left(self) -> float:
+        """The held-out loss of all folds."""
+        return float(self.loss.sum())
+
 
 class Body:
     """What level 1 needs of a problem: effective commands to features, and the columns of each family."""
@@ -525,7 +530,7 @@ def ranked(state: State, every: Sequence[Family], taken: Sequence[Family], withi
         numbers = level.freedom([*names, family.name], [*ridges, ridge], family.name)
         shift = np.where(np.isfinite(body.record.seen), own.shift(theta), np.nan)
         rows.append(Representative(family, theta, ridge, loss, numbers, own, body.record.rms_mm(shift)))
-    rows.sort(key=lambda r: float(r.loss.sum()))
+    rows.sort(key=lambda row: row.left)
     return Ranking(level, names, ridges, found, before, rows, _static(body, level, names, ridges, rows))
 
 

@@ -127,6 +127,10 @@ class Space:
         """The labels of the free parameters."""
         return [self.labels[i] for i in self.free]
 
+    def of(self, effects: Collection[str]) -> NDArray[np.bool_]:
+        """Return which of the free parameters (P,) are those of some effects."""
+        return np.array([label.split(".")[0] in effects for label in self.free_labels], bool)
+
 
 @dataclass(frozen=True, eq=False)
 class Fit:

@@ -157,7 +157,7 @@ def _with_signs(problem: Problem, space: Space, points: Floats, effect: str) -> 
     The place of an effect (a radius, an instant, a section) is compared from start to start. With a wrong sign the
     right place looks worst.
     """
-    own = np.array([label.split(".")[0] == effect for label in space.free_labels], bool)
+    own = space.of((effect,))
     places = own & (space.log | space.instant)
     signed = np.flatnonzero(own & ~space.log & ~space.instant & ~space.integer & (space.low < 0))
     if not places.any() or not len(signed):
@@ -178,10 +178,9 @@ def _joined(space: Space, parent: Fit, effect: str, start: Floats) -> Floats:
     """Return joint coordinates (P,): the parent's own where it has them, `start` for `effect`."""
     x = np.zeros(len(space.free_labels))
     old = dict(zip(parent.space.free_labels, parent.x))
-    new = [i for i, label in enumerate(space.free_labels) if label.split(".")[0] == effect]
     for i, label in enumerate(space.free_labels):
         x[i] = old.get(label, 0.0)
-    x[new] = start
+    x[space.of((effect,))] = start
     return np.clip(x, space.low, space.high)
 
 

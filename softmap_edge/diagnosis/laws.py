@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.diagnosis import decision as rule
-from softmap_edge.diagnosis.evidence import at_bound
 from softmap_edge.diagnosis.families import (
     CURVES,
     Body,
@@ -51,7 +50,6 @@ class Law:
     fit: Fit | None
     loss: Floats  # (folds,)
     numbers: int
-    bounds: tuple[str, ...] = ()  # labels of numbers that stand at a bound
 
     @property
     def left(self) -> float:
@@ -102,12 +100,17 @@ class Answer:
         """The held-out loss (folds,) of the law that stands for the family, else the least that the family can do."""
         if self.resolved and self.law is not None:
             return self.law.loss
-        return min((self.representative.loss, *(law.loss for law in self.reaching)), key=lambda loss: float(loss.sum()))
+        return min((self.representative.loss, *(law.loss for law in self.reaching)), key=np.sum)
+
+    @property
+    def left(self) -> float:
+        """The same of all folds."""
+        return float(self.loss.sum())
 
     @property
     def least(self) -> Floats:
         """The least held-out loss (folds,) of the law and the representative."""
-        return min((self.loss, self.representative.loss), key=lambda loss: float(loss.sum()))
+        return self.representative.loss if self.representative.left < self.left else self.loss
 
     @property
     def numbers(self) -> float:
@@ -138,12 +141,10 @@ def law_of(state: State, fits: Fits, effects: tuple[str, ...], before: Floats, s
     level = body.level()
     names, ridges = state.blocks(level, fit)
     level.close(np.ascontiguousarray(fit.modes))
-    own = np.array([label.split(".")[0] in effects for label in fit.space.free_labels], bool)
-    bounds = [label for label, mine, bound in zip(fit.space.free_labels, own, at_bound(fit)) if mine and bound]
     loss = capped_at_events(np.asarray(level.losses(names, ridges)), before, fit, effects)
     each = {e: f"{e} for each {'cable' if _of_cables(fit, e) else 'channel'}" for e in split}
     name = " + ".join(each.get(e, e) for e in effects)
-    return Law(name, effects, fit, loss, int(own.sum()), tuple(bounds))
+    return Law(name, effects, fit, loss, int(fit.space.of(effects).sum()))
 
 
 def _of_cables(fit: Fit, effect: str) -> bool:
@@ -158,8 +159,7 @@ def capped_at_events(loss: Floats, before: Floats, fit: Fit, effects: Sequence[s
     Other folds cannot show an event that happens once, in this fold: there a law is as good as none.
     """
     record, loss = fit.problem.record, loss.copy()
-    own = np.array([label.split(".")[0] in effects for label in fit.space.free_labels], bool)
-    for instant in fit.space.values(fit.x)[own & fit.space.instant]:
+    for instant in fit.space.values(fit.x)[fit.space.of(effects) & fit.space.instant]:
         for i, (_, test) in enumerate(fit.problem.folds):
             since = record.t_seen[test] - float(getattr(record, "parts", [record])[0].run.t[0])
             if np.min(np.abs(since - instant)) <= 2.0 * GAP:
@@ -238,13 +238,12 @@ class _Asked:
 
     def any_reaches(self, laws: list[Law]) -> bool:
         """Whether one of the laws does what the family can do."""
-        explained = float(self.before.sum() - self.representative.loss.sum())
+        explained = float(self.before.sum()) - self.representative.left
         return any(rule.reaches(law.loss, self.representative.loss, explained, self.form) for law in laws)
 
     def judged(self, laws: list[Law]) -> Answer:
         """Say which law it is, given all that were tried."""
-        losses = [self.representative.loss, *(law.loss for law in laws)]
-        best = min(losses, key=lambda loss: float(loss.sum()))
+        best = min((self.representative.loss, *(law.loss for law in laws)), key=np.sum)
         explained = float(self.before.sum() - best.sum())
         able = sorted((law for law in laws if rule.reaches(law.loss, best, explained, self.form)), key=_simplest)
         named = [law for law in able if law.effects and not self._any_map(law)]
@@ -255,7 +254,7 @@ class _Asked:
         same = self._equal(named, 0.5 * self.form * explained)
         if not named and (candidate := self._main(laws, explained)) is not None:
             is_open, same = is_open or self.representative.family.kind in MANY_LAWS, [candidate]
-        tried = tuple(sorted(laws, key=lambda one: float(one.loss.sum())))
+        tried = tuple(sorted(laws, key=lambda law: law.left))
         return Answer(
             self.representative.family, self.representative, self.before, same[0] if same else None, tuple(same[1:]),
             is_open, tuple(able), tried,
@@ -266,7 +265,7 @@ class _Asked:
 
         A rod's own error is part of its noise: there, shares of a memory are too unsure for a candidate.
         """
-        if self.representative.family.kind not in MANY_LAWS and self.body.record.model.kind == "rod":
+        if self.representative.family.kind not in MANY_LAWS and self.body.record.error_is_noise:
             return None
         members = sorted((law for law in laws if law.effects and not self._any_map(law)), key=lambda law: law.left)
         done = float(self.before.sum()) - members[0].left if members else 0.0
@@ -285,7 +284,7 @@ class _Asked:
             if not set(first.effects) < set(law.effects)
             and law.numbers <= first.numbers
             and not rule.leaves_cause(law.loss, first.loss, self.body.problem.numbers)
-            and float(law.loss.sum() - first.loss.sum()) <= max(worth, rule.difference(law.loss, first.loss).error)
+            and law.left - first.left <= max(worth, rule.difference(law.loss, first.loss).error)
         ]
 
         def beaten(law: Law) -> bool:

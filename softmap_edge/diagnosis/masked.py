@@ -117,8 +117,7 @@ def _as_if_seen(fits: Fits, field: Floats) -> Problem:
     record: Record = copy(problem.record)
     record.static = None
     record.seen = np.where(np.isfinite(record.seen), fits.null.predicted + field, np.nan)
-    rod = record.model.kind == "rod"
-    own = form_covariance(record.form_error, record.positions, record.section) * (not rod)
+    own = form_covariance(record.form_error, record.positions, record.section) * (not record.error_is_noise)
     form = np.einsum("mf,fg,mg->m", problem.whitener.project, own, problem.whitener.project)
     return Problem(record, problem.noise, replace(problem.whitener, form=form), problem.base)
 

@@ -84,7 +84,7 @@ def held_out_loss(outcome: Outcome) -> Floats:
     state = outcome.state
     ways = [state, State(state.body, state.fit, state.beside)] if state.background else [state]
     open_ = [step.family for step in outcome.steps if not step.answer.resolved]
-    loss = min((ranked(way, open_, open_).before for way in ways), key=lambda loss: float(loss.sum()))
+    loss = min((ranked(way, open_, open_).before for way in ways), key=np.sum)
     for step in outcome.steps:
         if step.answer.law is not None:
             loss = capped_at_events(loss, step.answer.before, state.fit, step.answer.law.effects)

@@ -235,7 +235,7 @@ def _read(at: Floats, t: Floats, values: Floats) -> Floats:
 
 def _form_left(record: Record, reference: Record, missed: Floats) -> Floats:
     """Return what is left (V, 3) mm of the model's own error in the difference of the runs."""
-    if record.model.kind != "rod":
+    if not record.error_is_noise:
         mine, theirs = record.form_error, reference.form_error
         return np.asarray(np.sqrt((KEPT * theirs) ** 2 + np.maximum(mine**2 - theirs**2, 0.0)))
     base = record.predict(record.model.chain_names, record.own()[None])[0]

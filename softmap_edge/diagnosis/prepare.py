@@ -103,7 +103,7 @@ def problem_of(record: Record, candidates: Sequence[str], noise: Noise | None = 
     stack = np.stack(signatures) if signatures else np.zeros((1, len(thin), record.features))
     kernel = command_kernel(record.command, record.spread, record.leaning)
     noise = noise or noise_of(record, record.seen - base)
-    if record.model.kind == "rod":
+    if record.error_is_noise:
         form = np.zeros((record.features, record.features))
     else:
         form = form_covariance(record.form_error, record.positions, record.section)
@@ -118,7 +118,7 @@ def noise_of(record: Record, residual: Floats) -> Noise:
     known = [p.mm for p in points if p is not None]
     point = float(np.sqrt(np.mean(np.square(known)))) if known else None
     noise = measure_noise(residual, record.seen, record.positions, record.t_seen, record.state, point)
-    if record.model.kind != "rod":
+    if not record.error_is_noise:
         return noise
     again = repeats_of(residual, record.state, load_seen(record))
     return rod_noise(residual, record.t_seen, record.form_error, noise, again)

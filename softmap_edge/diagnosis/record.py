@@ -298,6 +298,11 @@ class Record:
         return np.asarray(np.sum(places**2, axis=2))
 
     @property
+    def error_is_noise(self) -> bool:
+        """Whether the model's own error counts as noise: that of a rod is not smooth in its commands."""
+        return bool(self.model.kind == "rod")
+
+    @property
     def form_mm(self) -> float:
         """Return the model's own held-out error in mm RMS over the places."""
         return float(np.sqrt(np.mean(np.sum(self.form_error[self.positions] ** 2, axis=1))))

@@ -75,7 +75,7 @@ def _one_by_one(outcome: Outcome, most: int, tell: Callable[[str], None], visibl
         before, taken = outcome.state, [step.family for step in outcome.steps]
         state = before.without_background()
         ranking = ranked(state, every, taken)
-        if body.free_map or body.record.model.kind != "rod":  # another rod's own error is its noise
+        if body.free_map or not body.record.error_is_noise:
             body.ordinary_mm = acceptance.ordinary(state, ranking, every)
         if acceptance.is_ordinary(ranking, state) or (
             state is not before and not acceptance.beyond_ordinary(ranking, state)
@@ -102,30 +102,30 @@ def _next(ranking: Ranking, state: State, fits: Fits, outcome: Outcome, visible:
         return None
     later, best = bool(outcome.steps), rows[0]
     able = [row for row in rows if acceptance.accepted(row, ranking, state, later, visible)]
-    rod = state.body.record.model.kind == "rod"  # its own error counts as noise, which another law may explain
-    if best not in able and (rod or acceptance.stands_out(ranking.before, state.body, later)):
+    noisy = state.body.record.error_is_noise  # another law may explain part of it
+    if best not in able and (noisy or acceptance.stands_out(ranking.before, state.body, later)):
         # an event, or a law far from every column: the representative may not show it
         by_law = [_by_law(row, ranking, state, fits) for row in rows[: acceptance.ASKED]]
         able = [row for row in by_law if acceptance.accepted(row, ranking, state, later, visible)]
-        best = min((best, *able), key=lambda row: float(row.loss.sum()))
-        able.sort(key=lambda row: float(row.loss.sum()))
-    gain = float(ranking.before.sum() - best.loss.sum())
-    if not able or (able[0] is not best and float(able[0].loss.sum() - best.loss.sum()) > HINT * gain):
+        best = min((best, *able), key=lambda row: row.left)
+        able.sort(key=lambda row: row.left)
+    gain = float(ranking.before.sum()) - best.left
+    if not able or (able[0] is not best and able[0].left - best.left > HINT * gain):
         outcome.hint = best if gain > HINT * float(ranking.before.sum()) else None
         return None
     answers = [answered(state, fits, row, ranking.found, pairs=False) for row in _tied(able, ranking, state, single)]
     above = max(0.0, float(ranking.found.sum()) - rule.ABOVE_NOISE * state.body.problem.numbers)
     least = max(rule.FALL_FIRST * above, rule.FALL * float(ranking.found.sum()))
-    answers = [a for a in answers if float(ranking.found.sum() - a.loss.sum()) >= least]
+    answers = [a for a in answers if float(ranking.found.sum()) - a.left >= least]
     if not answers:  # the family falls to first order alone
         outcome.hint = best
         return None
-    best_loss = min((a.least for a in answers), key=lambda loss: float(loss.sum()))
+    best_loss = min((a.least for a in answers), key=np.sum)
     if not single:  # a law may do far more than its family
         answers = [a for a in answers if near(a.least, best_loss, ranking.found)]
     answers = [a for a in answers if not _excluded(a, answers, ranking, state)]
     first, *rest = sorted(answers, key=lambda a: (
-        not a.resolved, _beaten(a, answers), acceptance.order_of(a.family), a.numbers, float(a.loss.sum())
+        not a.resolved, _beaten(a, answers), acceptance.order_of(a.family), a.numbers, a.left
     ))  # fmt: skip
     return Step(first, tuple(a for a in rest if acceptance.indistinct(a, first, ranking, state)))
 
@@ -153,7 +153,7 @@ def _static_settled(ranking: Ranking, state: State) -> list[Representative]:
         return rows
     static = [row for row in rows if row.family.kind == "static" and row.columns.commanded and np.any(row.theta)]
     settled = {row.family: linearised(state, row)[0] for row in static}
-    return [min((row, settled.get(row.family, row)), key=lambda one: float(one.loss.sum())) for row in rows]
+    return [min((row, settled.get(row.family, row)), key=lambda one: one.left) for row in rows]
 
 
 def _laws_alone(ranking: Ranking, state: State, fits: Fits) -> list[Representative]:
@@ -164,8 +164,8 @@ def _laws_alone(ranking: Ranking, state: State, fits: Fits) -> list[Representati
 
 def _in_order(rows: Sequence[Representative], ranking: Ranking) -> list[Representative]:
     """Return rows with the least loss first; the free static shape is last, unless it does far more than the others."""
-    ordered = sorted(rows, key=lambda row: (row.family.name == acceptance.CATCH_ALL, float(row.loss.sum())))
-    gains = [float(ranking.before.sum() - row.loss.sum()) for row in ordered]
+    ordered = sorted(rows, key=lambda row: (row.family.name == acceptance.CATCH_ALL, row.left))
+    gains = [float(ranking.before.sum()) - row.left for row in ordered]
     if ordered and ordered[-1].family.name == acceptance.CATCH_ALL and gains[-1] > rule.DOMINATES * gains[0]:
         ordered = [ordered[-1], *ordered[:-1]]
     return ordered
@@ -249,7 +249,7 @@ def _miswired(ranking: Ranking, state: State, fits: Fits) -> Step | None:
         return None
     law = law_of(state, fits, ("servo_swap",), ranking.found)
     best = ranking.rows[0]
-    if law.loss.sum() > best.loss.sum() + rule.FORM * (ranking.found.sum() - best.loss.sum()):
+    if law.left > best.left + rule.FORM * (float(ranking.found.sum()) - best.left):
         return None
     family = Family("wiring", "static", ("servo_swap",))
     stand_in = _stand_in(family, law, fits)
@@ -275,7 +275,7 @@ def _best_law(family: Family, ranking: Ranking, state: State, fits: Fits) -> Law
 def _by_law(row: Representative, ranking: Ranking, state: State, fits: Fits) -> Representative:
     """Return a family with its best single law in the place of its representative, where that leaves less."""
     best = _best_law(row.family, ranking, state, fits)
-    if best is None or best.fit is None or best.loss.sum() >= row.loss.sum():
+    if best is None or best.fit is None or best.left >= row.left:
         return row
     moved = state.body.record.rms_mm(fits.displacement(best.fit, best.effects[0]))
     return replace(row, loss=best.loss, numbers=best.numbers, moved_mm=moved)

@@ -86,8 +86,10 @@ def _explained(laws: Law, outcome: Outcome, more: More, visible: float) -> Outco
 
 def _reconsidered(outcome: Outcome, few: Iterable[Law], more: More, visible: float) -> Outcome:
     """Return what a `few` laws at once explain, if that replaces what was found family by family."""
-    steps, rod = outcome.steps, outcome.body.record.model.kind == "rod"
-    hinted = bool(steps) or (rod and outcome.hint is not None)  # against a rod's own error one family alone is small
+    steps, noisy = outcome.steps, outcome.body.record.error_is_noise
+    hinted = bool(steps) or (
+        noisy and outcome.hint is not None
+    )  # against the model's own error one family alone is small
     if not hinted or acceptance.one_pose(outcome.body) or any(step.family.name == "wiring" for step in steps):
         return outcome
     clear = len(steps) == 1 and steps[0].answer.resolved and not steps[0].others
@@ -236,7 +238,7 @@ def _few_laws(outcome: Outcome) -> Iterator[Law]:
         ranking = ranked(state, [f for f in families() if f != known], [], PROMISING)
         found += [(first, state, ranking, row) for row in ranking.rows]
     pairs: dict[frozenset[str], Law] = {}
-    for first, state, ranking, row in sorted(found, key=lambda one: float(one[3].loss.sum()))[:TOGETHER]:
+    for first, state, ranking, row in sorted(found, key=lambda one: one[3].left)[:TOGETHER]:
         if pairs and not near(row.loss, min(pairs.values(), key=lambda law: law.left).loss, before):
             continue  # no law of this family will do more
         own = home(first.effects[0])  # pairs of one family belong to its own question
@@ -266,7 +268,7 @@ def _best_singles(null: State, fits: Fits, before: Floats) -> dict[Family, Law]:
     laws: list[Law] = []
     firsts: dict[Family, Law] = {}
     for row in ranked(null, families(), []).rows:
-        gain, most = total - float(row.loss.sum()), max((law.left for law in firsts.values()), default=0.0)
+        gain, most = total - row.left, max((law.left for law in firsts.values()), default=0.0)
         if gain < rule.FALL * total or (len(firsts) == acceptance.ASKED and rule.DOMINATES * gain < total - most):
             break
         known = {name for law in laws for name in law.effects}
