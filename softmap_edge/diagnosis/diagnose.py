@@ -21,7 +21,7 @@ from softmap_edge.diagnosis.acceptance import motion_mm
 from softmap_edge.diagnosis.advice import asked
 from softmap_edge.diagnosis.base_motion import excluded
 from softmap_edge.diagnosis.certificate import certified
-from softmap_edge.diagnosis.conclusion import Context, conclude, parameters
+from softmap_edge.diagnosis.conclusion import Context, conclude
 from softmap_edge.diagnosis.decision import ORDINARY, VISIBLE_MM
 from softmap_edge.diagnosis.declared import strange, wrong_load, wrong_sign
 from softmap_edge.diagnosis.document import Diagnosis, with_error
@@ -29,6 +29,7 @@ from softmap_edge.diagnosis.evidence import equivalents, experiment, shown, unse
 from softmap_edge.diagnosis.findings import plain
 from softmap_edge.diagnosis.fit import Fit, Problem
 from softmap_edge.diagnosis.fits import Fits
+from softmap_edge.diagnosis.fitted import parameters
 from softmap_edge.diagnosis.masked import masked
 from softmap_edge.diagnosis.outcome import Outcome
 from softmap_edge.diagnosis.prepare import candidates_of, problem_of

@@ -16,9 +16,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from softmap_edge.diagnosis.conditions import last_direction, orientations
+from softmap_edge.diagnosis.conditions import cells, last_direction, orientations
 from softmap_edge.diagnosis.decision import VISIBLE_MM
-from softmap_edge.diagnosis.findings import Rung, Unexplained, Untestable
+from softmap_edge.diagnosis.findings import Bin, Rung, Unexplained, Untestable
 from softmap_edge.diagnosis.fit import Fit, Problem
 from softmap_edge.diagnosis.fits import Fits
 from softmap_edge.diagnosis.noise import scaled_commands
@@ -188,6 +188,26 @@ def _blocked_r2(problem: Problem, columns: Floats, values: Floats) -> float:
     for train, test in problem.folds:
         predicted[test] = ridge(columns, values, train, RIDGE * problem.noise.inflation)[test]
     return float(1.0 - np.sum((values - predicted) ** 2) / max(float(np.sum(values**2)), 1e-300))
+
+
+def by_condition(record: Record, residual: Floats) -> dict[str, tuple[Bin, ...]]:
+    """Return an error (K, F) mm by section and by condition, where any is seen."""
+    squares = record.squares(residual)  # (K, places)
+
+    def row(label: str, low: float | None, high: float | None, n: int, values: Floats) -> list[Bin]:
+        good = values[np.isfinite(values)]
+        return [Bin(label, low, high, n, float(np.sqrt(good.mean())))] if len(good) else []
+
+    sections = record.section[record.positions]
+    found = {
+        "section": tuple(
+            b for i, s in enumerate(sections) for b in row(str(int(s)), None, None, len(record), squares[:, i])
+        )
+    }
+    for name, cell_row in cells(record.state, getattr(record.model, "command_unit", "mm")).items():
+        bins = [b for c in cell_row for b in row(c.label, c.low, c.high, int(c.frames.sum()), squares[c.frames])]
+        found[name] = tuple(bins)
+    return found
 
 
 # --- the ladder ---------------------------------------------------------------------------------

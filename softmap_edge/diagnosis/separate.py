@@ -8,9 +8,15 @@ orientations. Pinned by tests/test_separate.py.
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping, Sequence
+from typing import Any
 
+from softmap_edge.diagnosis.evidence import experiment
 from softmap_edge.diagnosis.families import families, home
+from softmap_edge.diagnosis.findings import Alternative, FamilyFinding, Finding, NextBlock, Untestable
+from softmap_edge.diagnosis.wording import OwnMisfit
+
+Registry = Mapping[str, dict[str, Any]]
 
 SPECIAL = ("static", "memory", "time", "condition")  # kinds of input; a later one is varied by itself more easily
 
@@ -30,3 +36,53 @@ def separating(one: str, other: str) -> tuple[str, float] | None:
 def families_of(effects: Collection[str]) -> tuple[str, ...]:
     """Return the families that effects belong to, the first of each."""
     return tuple(dict.fromkeys(family.name for e in effects if (family := home(e)) is not None))
+
+
+def mended(faults: Sequence[Finding]) -> list[NextBlock]:
+    """Return what is put right by hand before anything is recorded."""
+    block = "put it right, plugs or columns and signs of the mapping, and diagnose again: {}"
+    cases = {f.name: p.meaning for f in faults for p in f.params.values() if p.meaning}
+    return [NextBlock(block.format(case), 2.0, (name,)) for name, case in cases.items()]
+
+
+def refits(own: OwnMisfit | None) -> list[NextBlock]:
+    """Return what to do first where the model's own effects do not fit."""
+    return [] if own is None else [NextBlock("`softmap refit` on this run, then diagnose again", 0.0, own.names)]
+
+
+def next_blocks(
+    alternatives: Sequence[Alternative],
+    hidden: Sequence[Untestable],
+    registry: Registry,
+    named: Sequence[str],
+    found: Sequence[FamilyFinding] = (),
+) -> list[NextBlock]:
+    """Return the blocks that would settle what is open: between families first, then between laws.
+
+    The separation is simulated by `softmap next`.
+    """
+    blocks: dict[str, tuple[float, list[str]]] = {}
+
+    def add(block: str, minutes: float, names: Sequence[str]) -> None:
+        settles = blocks.setdefault(block, (minutes, []))[1]
+        settles += [n for n in dict.fromkeys(names) if n and n not in settles]
+
+    for pair in _near_families(found, alternatives):
+        if (block := separating(*pair)) is not None:
+            add(*block, pair)
+    for one in alternatives:
+        other = next((e for e in one.effects if e not in named), one.member)
+        asked = one.member or other
+        if asked in registry:
+            add(*experiment(registry, asked), (one.member, other))
+    for item in hidden:
+        add(item.experiment, item.minutes, (item.name,))
+    return [NextBlock(block, minutes, tuple(settles)) for block, (minutes, settles) in blocks.items()]
+
+
+def _near_families(found: Sequence[FamilyFinding], alternatives: Sequence[Alternative]) -> list[tuple[str, str]]:
+    """Return each family that was detected with each that cannot be distinguished from it."""
+    own = {effect: family.name for family in found for effect in family.effects}
+    pairs = [(family.name, other) for family in found for other in family.alternatives]
+    pairs += [(own[one.member], one.family) for one in alternatives if one.family and one.member in own]
+    return [pair for pair in dict.fromkeys(pairs) if pair[0] != pair[1]]

@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge import _core
-from softmap_edge.diagnosis.conclusion import parameters
 from softmap_edge.diagnosis.findings import ServoEffect, ServoError, ServoFinding
 from softmap_edge.diagnosis.fit import Problem
+from softmap_edge.diagnosis.fitted import parameters
 from softmap_edge.diagnosis.noise import command_kernel, estimate_noise, form_covariance, whitener
 from softmap_edge.diagnosis.record import Record
 from softmap_edge.diagnosis.search import search
