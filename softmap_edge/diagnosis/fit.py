@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from copy import copy
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -111,17 +111,6 @@ class Space:
         held.low, held.high = np.where(self.integer, x, self.low), np.where(self.integer, x, self.high)
         return held
 
-    def beyond(self, which: NDArray[np.bool_], times: float) -> Space:
-        """Return the coordinates with the bounds of some parameters (P,) that are absent at 0 so many times as far."""
-        wider = copy(self)
-        wider.low, wider.high = (np.where(which, times * end, end) for end in (self.low, self.high))
-        return wider
-
-    @property
-    def count(self) -> int:
-        """How many free parameters the effects have: what a criterion of information counts."""
-        return int(self.declared.sum())
-
     @cached_property
     def free_labels(self) -> list[str]:
         """The labels of the free parameters."""
@@ -191,14 +180,6 @@ class Problem:
         self.folds = run_folds(record.t_seen, record.block)
         self._seen: tuple[Floats, Told | None] | None = None
         self._spaces: dict[tuple[tuple[str, ...], ...], Space] = {}
-
-    def some(self, rows: NDArray[np.intp]) -> Problem:
-        """Return the same on some of the frames, `rows` rising."""
-        record = self.record.some(rows)
-        kernel = command_kernel(record.command, self.record.spread, self.record.leaning[rows])
-        few = Problem(record, self.noise, replace(self.whitener, kernel=kernel), self.base)
-        few._spaces = self._spaces  # frames do not matter to them
-        return few
 
     def modes(self, predicted: Floats) -> Floats:
         """Return the residual modes (..., K, M) of predictions (..., K, F)."""
@@ -284,10 +265,6 @@ class Problem:
         inside = [np.clip(start, space.low, space.high) for start in starts]
         fits = [self._descend(tuple(effects), space.pinned(x), x) for x in inside]
         return min(fits, key=lambda fit: fit.cost)
-
-    def beyond(self, fit: Fit, which: NDArray[np.bool_], times: float) -> Fit:
-        """Go on with a fit where some parameters (P,) may be so many times as far as their bounds."""
-        return self._descend(fit.effects, fit.space.beyond(which, times), fit.x)
 
     def null(self) -> Fit:
         """Return the model as it is, as a fit of nothing."""

@@ -272,19 +272,6 @@ class Record:
 
         return predict
 
-    def acting(self, names: Sequence[str], params: Floats) -> Floats:
-        """Return the effective commands at the shape, (B, K, C), for parameter sets as `predict` takes them."""
-        params = self.full(names, params)
-        chain = np.ascontiguousarray(params[:, : params.shape[1] - len(self._changes(names))])
-        return np.asarray(self.model.acting(tuple(names), chain, self.run, **self._inputs))
-
-    def slopes(self, names: Sequence[str], params: Floats) -> Floats:
-        """Return the slopes (C, K, F) mm of features over effective commands, at one parameter set of `predict`."""
-        step = np.maximum(SLOPE * self.spread, 1e-3)
-        model, _, sets = self._models(names, self.full(names, params[None]))[0]
-        slopes = model.slopes(tuple(names), sets[0], step, self.run, **self._inputs)
-        return np.asarray(slopes).reshape(len(slopes), self.frames, self.features)
-
     # --- measures -------------------------------------------------------------------------------
 
     def rms_mm(self, difference: Floats, frames: NDArray[Any] | None = None) -> float:
