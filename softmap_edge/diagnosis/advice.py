@@ -64,7 +64,7 @@ def advice(run: Run, home_visits: int) -> list[Word]:
         ]
     u = commanded(run)
     state = conditions(run, u)
-    words = [_enough(run.frames), _noise(run), _home(run, home_visits)]
+    words = [_enough(run.frames), _noise(run), _home(home_visits)]
     words += [] if run.output is not None else [_orientation(run), *_points(run)]  # outputs have no body
     words += _drive(u)
     if words[-1].about != "drive":
@@ -122,7 +122,7 @@ def _noise(run: Run) -> Word:
     return _guessed(run.sigma)
 
 
-def _home(run: Run, visits: int) -> Word:
+def _home(visits: int) -> Word:
     if visits >= ENOUGH_VISITS:
         return Word("home", True, f"drift, and whether the base moved: home is visited {visits} times")
     often = {0: "never visited", 1: "visited once", 2: "visited twice"}[visits]

@@ -139,7 +139,7 @@ def _split(outcome: Outcome, kept: Withheld) -> Problem:
     Ordinary imperfections are smooth in the commands like the model's own error, and add to it.
     """
     whole = copy(outcome.body.problem)
-    larger = 1.0 + (outcome.ordinary_mm / max(whole.record.form_mm, 1e-9)) ** 2
+    larger = 1.0 + (outcome.body.ordinary_mm / max(whole.record.form_mm, 1e-9)) ** 2
     whole.whitener = replace(whole.whitener, form=larger * whole.whitener.form)
     whole.folds = [(kept.chosen, kept.rows), (kept.rows, kept.rows), (kept.chosen, kept.chosen)]
     whole.__dict__.pop("fold_kernels", None)

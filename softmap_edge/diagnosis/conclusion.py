@@ -20,7 +20,6 @@ from softmap_edge.diagnosis.evidence import (
     by_condition,
     equivalents,
     ladder,
-    ladder_on,
     leftover,
     not_testable,
 )
@@ -351,8 +350,7 @@ def _error(outcome: Outcome, order: Sequence[str], other: Record | None) -> Erro
     problem, fits = outcome.body.problem, outcome.plain
     record = problem.record
     split = outcome.fit.space.split
-    found = ladder(fits, order, split) if other is None else ladder_on(fits, other, order, split)
-    model, static, rungs, both, per_fold = found
+    model, static, rungs, both, per_fold = ladder(fits, order, split, other)
     noise, form = problem.noise.rms_mm(record.positions), record.form_mm
     measured = not record.error_is_noise
     replicates = measured and problem.noise.replicates

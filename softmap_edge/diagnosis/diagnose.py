@@ -211,7 +211,8 @@ def showing(model: Model, run: Run, library: Any = None) -> list[dict[str, Any]]
     problem = problem_of(record, candidates)
     seen = {name: shown(problem, name) for name in candidates}
     size = {name: float(np.linalg.norm(white)) for name, (_, white) in seen.items()}
-    found = {h.name: _showing(h.name, False, None, None, h.why, [], (h.experiment, h.minutes)) for h in impossible}
+    keys = ("name", "shows", "moved_mm", "deviations", "why", "alike", "experiment", "minutes")
+    rows: list[tuple[Any, ...]] = [(h.name, False, None, None, h.why, [], h.experiment, h.minutes) for h in impossible]
     for name, (moved, white) in seen.items():
         why = unseen(moved, size[name])
         twins = equivalents(record, name, registry)
@@ -219,7 +220,8 @@ def showing(model: Model, run: Run, library: Any = None) -> list[dict[str, Any]]
             product = size[name] * size[other]
             if other != name and product > 0 and abs(float(white @ seen[other][1])) > ALIKE * product:
                 twins += [other] if other not in twins else []
-        found[name] = _showing(name, why is None, moved, size[name], why, twins, experiment(registry, name))
+        rows.append((name, why is None, moved, size[name], why, twins, *experiment(registry, name)))
+    found = {row[0]: dict(zip(keys, row)) for row in rows}
     return [found[name] for name in registry if name in found]
 
 
@@ -244,21 +246,6 @@ def _searched(
         record.remapped = False
         outcome = search(problem, candidates, progress)
     return problem, outcome
-
-
-def _showing(
-    name: str,
-    shows: bool,
-    moved: float | None,
-    size: float | None,
-    why: str | None,
-    alike: list[str],
-    recorded: tuple[str, float],
-) -> dict[str, Any]:
-    block, minutes = recorded
-    return dict(
-        name=name, shows=shows, moved_mm=moved, deviations=size, why=why, alike=alike, experiment=block, minutes=minutes
-    )
 
 
 def _shared(fit: Fit) -> dict[str, float]:

@@ -213,22 +213,31 @@ def by_condition(record: Record, residual: Floats) -> dict[str, tuple[Bin, ...]]
 # --- the ladder ---------------------------------------------------------------------------------
 
 
-def ladder(fits: Fits, order: Sequence[str], split: Collection[str]) -> Errors:
-    """Return held-out errors in mm on blocks: model, static baseline, effects one by one, with both; per fold."""
+def ladder(fits: Fits, order: Sequence[str], split: Collection[str], other: Record | None = None) -> Errors:
+    """Return held-out errors in mm: model, static baseline, effects one by one, with both; per fold.
+
+    They are those of blocks, or of an independent run `other` with parameters and static residual of the diagnosed run.
+    """
     problem, record = fits.problem, fits.problem.record
-    steps = [fits.get(order[: i + 1], split) for i in range(len(order))]
-    last = fits.losses(steps[-1] if steps else fits.null)[2]
-    null = fits.losses(fits.null)[2]
-    return (
-        _held_out(problem, null),
-        _held_out(problem, null, static=True),
-        tuple(Rung(e, _held_out(problem, fits.losses(f)[2])) for e, f in zip(order, steps)),
-        _held_out(problem, last, static=True),
-        tuple(record.rms_mm(record.seen - p, t) for p, (_, t) in zip(last, problem.folds)),
-    )
+    steps = [fits.null, *(fits.get(order[: i + 1], split) for i in range(len(order)))]
+    per_fold: tuple[float, ...] = ()
+    if other is None:
+        predictions = fits.losses(steps[-1])[1]
+        per_fold = tuple(record.rms_mm(record.seen - p, t) for p, (_, t) in zip(predictions, problem.folds))
+
+    def error(fit: Fit, static: bool = False) -> float:
+        if other is None:
+            return _held_out(problem, fits.losses(fit)[1], static)
+        residual = other.seen - fit.on(other)
+        if static:
+            residual = residual - _static(record, other, record.seen - fit.predicted, np.arange(len(record)))
+        return other.rms_mm(residual)
+
+    rungs = tuple(Rung(e, error(f)) for e, f in zip(order, steps[1:]))
+    return error(fits.null), error(fits.null, True), rungs, error(steps[-1], True), per_fold
 
 
-def _held_out(problem: Problem, predictions: Floats, static: bool = False) -> float:
+def _held_out(problem: Problem, predictions: Floats, static: bool) -> float:
     record = problem.record
     squares = []
     for prediction, (train, test) in zip(predictions, problem.folds):
@@ -237,27 +246,6 @@ def _held_out(problem: Problem, predictions: Floats, static: bool = False) -> fl
             residual = residual - _static(record, record, residual, train)
         squares.append(record.squares(residual)[test].ravel())
     return float(np.sqrt(np.nanmean(np.concatenate(squares))))
-
-
-def ladder_on(fits: Fits, other: Record, order: Sequence[str], split: Collection[str]) -> Errors:
-    """Return the same errors on an independent run; parameters and static residual come from the diagnosed run."""
-    record = fits.problem.record
-    every = np.arange(len(record))
-
-    def error(fit: Fit, static: bool = False) -> float:
-        residual = other.seen - fit.on(other)
-        if static:
-            residual = residual - _static(record, other, record.seen - fit.predicted, every)
-        return other.rms_mm(residual)
-
-    steps = [fits.get(order[: i + 1], split) for i in range(len(order))]
-    return (
-        error(fits.null),
-        error(fits.null, static=True),
-        tuple(Rung(e, error(f)) for e, f in zip(order, steps)),
-        error(steps[-1] if steps else fits.null, static=True),
-        (),
-    )
 
 
 def _static(record: Record, at: Record, residual: Floats, train: NDArray[np.int64]) -> Floats:

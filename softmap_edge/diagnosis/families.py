@@ -145,7 +145,7 @@ class Body:
         self.step = np.maximum(SLOPE * self.record.spread, 1e-3)
         self.weights = np.ascontiguousarray(problem.gain * problem.whitener.project.T)
         self.own = [e["name"] for e in self.record.library.effects() if e["own"]]  # a user's, of any family
-        self.ordinary_mm = 0.0  # static imperfections of the robot, RMS
+        self.ordinary_mm = 0.0  # ordinary static imperfections of the robot, RMS, apart from what was found
         self.free_map = isinstance(getattr(self.record.model, "prior", None), _core.Rod)  # learned from logs
         self.learned = [f for f in families() if f.name in MAPPED and self.record.remapped]
         self._signatures: dict[str, Floats] = {}
@@ -276,7 +276,7 @@ class Body:
         record = self.record
         own = tuple(record.model.chain_names)
         layout = record.layout((*own, name))
-        known = dict(zip(record.layout(own).labels, map(float, record.own())))
+        known = record.own_values()
         null = np.array([known.get(label, n) for label, n in zip(layout.labels, layout.null)])
         mine = [i for i, label in enumerate(layout.labels) if label.split(".")[0] == name]
         base = record.predict(layout.names, null[None])[0]

@@ -172,8 +172,7 @@ class Problem:
     def __init__(self, record: Record, noise: Noise, whitener: Whitener, base: dict[str, float] | None = None) -> None:
         """Share `record`, `noise` and `whitener`; `base` are the model's own parameters by label."""
         self.record, self.noise, self.whitener = record, noise, whitener
-        own = dict(zip(record.layout(record.model.chain_names).labels, map(float, record.own())))
-        self.base = own if base is None else base
+        self.base = record.own_values() if base is None else base
         self.gain = 1.0 / np.sqrt(noise.inflation)
         seen = np.isfinite(record.seen).mean(axis=1)  # a frame that shows a third of the body counts a third
         self.numbers = float(seen.sum() * whitener.numbers) / noise.inflation
@@ -335,19 +334,14 @@ class Problem:
         squares = [self.record.squares(self.record.seen[test] - p[test]).ravel() for p, (_, test) in folds]
         return float(np.sqrt(np.nanmean(np.concatenate(squares))))
 
-    def fold_losses(self, predictions: Floats) -> tuple[Floats, Floats]:
-        """Return held-out losses (folds,) of each fold's own prediction on its test frames: plain and whitened.
+    def fold_losses(self, predictions: Floats) -> Floats:
+        """Return held-out losses (folds,) of each fold's own prediction on its test frames.
 
-        Plain counts every frame for itself, with noise and form error in its variance; whitened forgives what the form
-        error could be, so it sees memory best and static effects hardly.
+        Every frame counts for itself, with noise and form error in its variance.
         """
-        plain, white = [], []
         spread = np.sqrt(1.0 + self.whitener.form)
-        for prediction, (_, test), (_, kernel) in zip(predictions, self.folds, self.fold_kernels):
-            modes = self.whitener.modes(self.record.seen[test] - prediction[test]) * self.gain
-            plain.append(float(np.sum((modes / spread) ** 2)))
-            white.append(float(np.sum(self.whitener.shrink(modes, kernel) ** 2)))
-        return np.array(plain), np.array(white)
+        modes = [self.whitener.modes(self.record.seen[i] - p[i]) for p, (_, i) in zip(predictions, self.folds)]
+        return np.array([np.sum((one * self.gain / spread) ** 2) for one in modes])
 
 
 def newton_step(space: Space, x: Floats, jacobian: Floats, residual: Floats, damping: float) -> Floats:

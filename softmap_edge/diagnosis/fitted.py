@@ -61,7 +61,7 @@ def refitted(fits: Fits, fit: Fit, sigma: Floats, name: str) -> Refitted | None:
     if not changes:
         return None
     squares = np.full_like(record.seen, np.nan)
-    for prediction, (_, test) in zip(fits.losses(fit)[2], problem.folds):
+    for prediction, (_, test) in zip(fits.losses(fit)[1], problem.folds):
         squares[test] = (record.seen[test] - prediction[test]) ** 2
     error = np.sqrt(np.nanmean(squares, axis=0))
     if record.replay is not None:  # what is missed on the reference too is still missed

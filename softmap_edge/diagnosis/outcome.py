@@ -49,11 +49,6 @@ class Outcome:
     hint: Representative | None = None  # the best family, if it was not accepted but falls
 
     @property
-    def ordinary_mm(self) -> float:
-        """Ordinary static imperfections of the robot, RMS, apart from what was found."""
-        return self.body.ordinary_mm
-
-    @property
     def fit(self) -> Fit:
         """The laws that were found, fitted together."""
         return self.state.fit
@@ -69,7 +64,7 @@ class Outcome:
         problem, record = self.body.problem, self.body.record
         noise = rule.ABOVE_NOISE * problem.numbers
         in_loss = (self.loss.sum() - noise) / max(float(self.null.sum()) - noise, 0.25 * noise)
-        own = max(record.form_mm**2 + self.ordinary_mm**2, problem.noise.rms_mm(record.positions) ** 2)
+        own = max(record.form_mm**2 + self.body.ordinary_mm**2, problem.noise.rms_mm(record.positions) ** 2)
         start = record.rms_mm(record.seen - self.fits.null.predicted) ** 2
         residual = self.state.residual  # it is whitened: in mm, imperfections may explain more than is there
         now = min(record.rms_mm(residual), record.rms_mm(residual - self.state.ordinary)) ** 2

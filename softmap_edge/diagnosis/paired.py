@@ -132,7 +132,7 @@ def _without(record: Record, absent: Sequence[str]) -> Floats:
     """Return what the model predicts for a run (K, F) mm, some of its own effects left out."""
     own = tuple(record.model.chain_names)
     names = tuple(name for name in own if name not in absent)
-    params = dict(zip(record.layout(own).labels, map(float, record.own())))
+    params = record.own_values()
     return np.asarray(record.predict(names, record.layout(names).values(params)[None])[0])
 
 

@@ -15,7 +15,6 @@ from softmap_edge.diagnosis.conditions import orientations
 from softmap_edge.diagnosis.evidence import experiment
 from softmap_edge.diagnosis.findings import Untestable
 from softmap_edge.diagnosis.fit import Problem
-from softmap_edge.diagnosis.floor import noise_of_points
 from softmap_edge.diagnosis.memoryless import repeats_of
 from softmap_edge.diagnosis.noise import Noise, command_kernel, form_covariance, measure_noise, rod_noise, whitener
 from softmap_edge.diagnosis.record import Record
@@ -114,10 +113,7 @@ def problem_of(record: Record, candidates: Sequence[str], noise: Noise | None = 
 
 def noise_of(record: Record, residual: Floats) -> Noise:
     """Return the noise of a record from a model's residual (K, F) mm."""
-    points = [noise_of_points(run) for run in record.whole]
-    known = [p.mm for p in points if p is not None]
-    point = float(np.sqrt(np.mean(np.square(known)))) if known else None
-    noise = measure_noise(residual, record.seen, record.positions, record.t_seen, record.state, point)
+    noise = measure_noise(residual, record.seen, record.positions, record.t_seen, record.state)
     if not record.error_is_noise:
         return noise
     again = repeats_of(residual, record.state, load_seen(record))
@@ -142,8 +138,7 @@ def load_seen(record: Record) -> Floats | None:
 def _signatures(record: Record, name: str, base: Floats) -> list[Floats]:
     """Return what an effect adds to `base` (K, F) mm at its start values, all at once and each parameter alone."""
     names = tuple(record.model.chain_names) + (() if name in record.model.chain_names else (name,))
-    layout, present = record.layout(names), record.layout(record.model.chain_names)
-    own = dict(zip(present.labels, map(float, record.own())))
+    layout, own = record.layout(names), record.own_values()
     null = np.array([own.get(label, n) for label, n in zip(layout.labels, layout.null)])
     mine = [i for i, label in enumerate(layout.labels) if label.split(".")[0] == name]
     every = null.copy()

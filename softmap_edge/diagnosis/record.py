@@ -231,6 +231,10 @@ class Record:
         layout = self.layout(self.model.chain_names)
         return layout.values(named(chain, np.asarray(self.model.chain_params)), layout.null)
 
+    def own_values(self) -> dict[str, float]:
+        """Return the same by label."""
+        return dict(zip(self.layout(self.model.chain_names).labels, map(float, self.own())))
+
     @cached_property
     def _inputs(self) -> dict[str, Any]:
         """The run as the model's core takes it, for models that have one."""
@@ -303,7 +307,7 @@ class Record:
         own = tuple(self.model.chain_names)
         names = own if "mount" in own else (*own, "mount")
         layout = self.layout(names)
-        at = layout.values(dict(zip(self.layout(own).labels, map(float, self.own()))), layout.null)
+        at = layout.values(self.own_values(), layout.null)
         labels = np.array(layout.labels)
         moved = [at + each * (labels == label) for label, each in zip(FRAME, np.asarray(sigma, float))]
         seen = self.predict(names, np.stack([at, *moved]))
