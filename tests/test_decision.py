@@ -280,6 +280,8 @@ def test_ordinary_imperfections_are_a_level_and_no_discovery(moved):
     now, then = moved(finger_run(acting=imperfect), ["gain", "offset", "asymmetry"], ORDINARY=0.0)
     assert not now.families and now.verdict in ("nothing", "cannot_tell")
     assert then.families and then.families[0].kind == "static"
+    assert 0.2 < now.unexplained.ordinary_mm < 0.4 and "ordinary imperfections of this robot: 0." in str(now)
+    assert then.unexplained.ordinary_mm is None
 
 
 def test_what_is_left_of_the_error_beyond_a_tenth_is_unknown(moved):

@@ -86,7 +86,7 @@ def conclude(outcome: Outcome, fit: Fit, context: Context) -> dict[str, Any]:
     if record.remapped:  # the map that is solved again cancels parts of what stands in for a family
         ways = (residual, residual - outcome.state.ordinary, record.seen - fit.predicted)
         residual = min(ways, key=record.rms_mm)
-    left = leftover(problem, residual, len(fit.x))
+    left = replace(leftover(problem, residual, len(fit.x)), ordinary_mm=outcome.body.ordinary_mm or None)
     behind = [] if context.masked is None else context.masked.untestable(registry)
     hidden = [*behind, *context.impossible]
     hidden += [h for h in not_testable(fits, fit, registry) if h.name not in {b.name for b in hidden}]
