@@ -1,11 +1,11 @@
 """Diagnose: name the physical effect that a model lacks, with evidence, alternatives and the error before and after.
 
-    features → noise and form error → whitened search over effects → acceptance on held-out blocks
-             → certificate from withheld blocks → verdict
+    run → frames that are measurements (sound.py) → candidates, noise, model error (prepare.py)
+        → families, then their laws, accepted on held-out blocks (search.py, together.py)
+        → certificates from withheld blocks (certificate.py) → findings, alternatives, verdict (conclusion.py)
 
-The verdict is one of identified, ambiguous, partly_explained, nothing, cannot_tell, measurement_fault; silence and
-doubt are answers. `diagnose` is deterministic: the same input gives the same document. Method: the files
-`noise.py`, `fit.py`, `search.py`, `evidence.py`, `certificate.py`, `conclusion.py`. Pinned by tests/test_diagnosis.py.
+The verdict is one of identified, ambiguous, partly_explained, nothing, cannot_tell, measurement_fault. `diagnose` is
+deterministic: the same input gives the same document. Pinned by tests/test_diagnosis.py.
 """
 
 from __future__ import annotations

@@ -34,7 +34,7 @@ Floats = NDArray[np.float64]
 
 OWN = 1.5  # times the model's own error that a residual must be to hide anything
 HIDES = 0.6  # of the residual's mean square: an effect that explains less is another
-LOOKED_AT = 8  # effects that are fitted to the residual, of those that screening finds best
+LOOKED_AT = 8  # effects that are compared with the residual: those that fit it best
 AGAINST = 9.0  # of the objective over the over-dispersion: three standard deviations
 
 
