@@ -58,7 +58,7 @@ def test_play_that_was_learned_in_is_in_the_report_and_nothing_is_left(same):
 
 
 def test_static_effects_cannot_be_found_in_a_run_that_taught_the_model(same, model):
-    held = {one.name: one.why for one in same.not_testable if "taught the model" in one.why}
+    held = {one.name: one.why for one in same.not_testable if "learned from this run" in one.why}
     assert {"gain", "offset", "payload", "mount"} <= set(held) and not {"backlash", "latency", "creep"} & set(held)
     other = diagnose(model, recorded((GAP, GAP), seconds=60.0, seed=2, drive=lambda t: wander(t + 77)))
     assert other.learned_in == same.learned_in

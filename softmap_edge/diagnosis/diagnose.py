@@ -55,8 +55,8 @@ UNSAID = 0.05  # share of the frames that may lie outside what a model was made 
 OWN_FALL = 0.7  # fall of the held-out error by a refit from which the model's own numbers are in doubt
 ALIKE = 0.95  # cosine between two whitened signatures from which their form does not distinguish them
 TWICE = (
-    "it is diagnosed relative to a reference run: what is recorded next has to be recorded twice, as this run was and "
-    "as the reference was, and the second given with --reference"
+    "the diagnosis is relative to a reference run: record each next block twice, once under the conditions of this run "
+    "and once under those of the reference, and give the second with --reference"
 )
 
 
@@ -162,7 +162,7 @@ def _apart(run: Run | Sequence[Run], held_out: Run | None, reference: Run | Sequ
     if len(set(hashes)) < len(hashes):
         raise SoftmapError("the same run is given twice, and its noise would count as half; give each recording once")
     if held_out is not None and held_out.hash() in hashes:
-        raise SoftmapError("the held-out run is one that is fitted, so it judges nothing; give an independent run")
+        raise SoftmapError("the held-out run is fitted too, so it validates nothing; give an independent run")
     if set(hashes) & {one.hash() for one in others}:
         raise SoftmapError("the reference is the run itself, so nothing differs; give a recording of before the change")
 
@@ -266,9 +266,7 @@ def _validation(model: Model, held_out: Run, library: Any, reference: Run | Sequ
     except SoftmapError as fault:
         if reference is None:
             raise
-        raise SoftmapError(
-            f"the held-out run is judged relative to a reference too: {fault}; or leave --held-out out"
-        ) from None
+        raise SoftmapError(f"the held-out run needs a reference too: {fault}; or leave --held-out out") from None
 
 
 def _outside(record: Record) -> str:
@@ -281,7 +279,7 @@ def _outside(record: Record) -> str:
     beyond = np.any((record.command < low - slack) | (record.command > high + slack), axis=1).mean()
     if beyond < UNSAID:
         return ""
-    return f" {100 * beyond:.0f} % of the frames lie beyond the commands that the model was made from: a guess there."
+    return f" {100 * beyond:.0f} % of the frames lie beyond the commands that made the model; it extrapolates there."
 
 
 def _own_misfit(record: Record) -> OwnMisfit | None:

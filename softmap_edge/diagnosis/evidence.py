@@ -34,7 +34,7 @@ Errors = tuple[float, float, tuple[Rung, ...], float, tuple[float, ...]]
 
 
 def equivalents(record: Record, name: str, registry: Mapping[str, dict[str, Any]]) -> list[str]:
-    """Return the effects of the registry, tried or not, that this run cannot tell from `name` by their form."""
+    """Return the effects of the registry, tried or not, whose form this run cannot distinguish from that of `name`."""
     resolved = {
         "orientation": orientations(record.state.gravity) > 1,
         "load": record.load is not None and float(np.ptp(record.load)) > 0,

@@ -325,7 +325,7 @@ class Body:
         )
 
     def add_fit(self, level: _core.Level, name: str, fit: Fit) -> bool:
-        """Add the slopes of a fit to normal equations, of numbers that no bound holds; whether there are any."""
+        """Add the slopes of a fit over its numbers that are not at a bound; return whether there are any."""
         free = np.flatnonzero(np.minimum(fit.x - fit.space.low, fit.space.high - fit.x) > AT_BOUND)
         if len(free):
             ones = np.ones((len(free), len(self.record)))
@@ -343,10 +343,14 @@ class State:
         beside: Sequence[Representative] = (),
         background: Sequence[Family] = (),
     ) -> None:
-        """Say what is known; families in `background` explain ordinary imperfections, which are not named.
+        """Set what is known.
 
-        Where the static map was learned from data with memory, the memory has bent it. Then its families stand in the
-        background throughout, so that the map is solved again with every law.
+        Args:
+            body: the problem at level 1.
+            fit: the laws that were found, fitted together.
+            beside: representatives of families without a law.
+            background: families that explain ordinary imperfections, which are not named. Where the static map was
+                learned from data with memory, its families are always among them, because the memory has bent it.
         """
         self.body, self.fit, self.beside = body, fit, tuple(beside)
         self.background = tuple(dict.fromkeys((*background, *body.learned)))

@@ -34,7 +34,7 @@ ITERATIONS = 20
 DAMPING = 1e-3  # of a Gauss-Newton step, of the curvature
 DAMPINGS = ((1.0,), (0.05, 20.0, 400.0), (8e3, 1.6e5))  # factors tried with new slopes; the next lot if none is better
 SECANTS = 3  # parameters from which slopes are carried on by secants
-LINEAR = 0.5  # of what its slopes promised a step must win for them to be carried on by one secant and not taken anew
+LINEAR = 0.5  # of the fall that its slopes predict: a step that wins less, or twice as much, needs new slopes
 
 
 class Space:

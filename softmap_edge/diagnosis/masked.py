@@ -71,13 +71,13 @@ class Masked:
             which = ", ".join(f"{name} ({100 * share:.0f} % of it)" for name, share in self.may_be)
             return f"{told}; it may hide {which}"
         if self.with_mm >= self.without_mm:
-            return f"{told}; it is not of this run"
+            return f"{told}; it does not lower the error of this run"
         if self.left_mm <= self.own_mm:
             return (
                 f"{told}; {self.left_mm:.2f} mm RMS of it are unexplained (fitted), up to {self.own_mm:.2f} mm RMS may "
                 "be its own error"
             )
-        return f"{told}; {self.left_mm:.2f} mm RMS of it (fitted) are left that no effect explains alone"
+        return f"{told}; no single effect explains the remaining {self.left_mm:.2f} mm RMS of it (fitted)"
 
 
 def masked(fits: Fits, fit: Fit) -> Masked | None:

@@ -68,7 +68,7 @@ class Noise:
     covariance: Floats
     source: str
     inflation: float
-    replicates: bool = False  # whether dwells told it
+    replicates: bool = False  # whether it was estimated from dwells
     slow: Floats | None = None
     memory_s: float = 0.0
     slow_inflation: float = 1.0
@@ -389,7 +389,7 @@ def _high_frequency(residual: Floats, t_seen: Floats) -> Floats:
     """Noise variance from second differences r[k-1] - 2 r[k] + r[k+1] (6 σ² for white noise), outliers clipped."""
     if len(residual) < 5:
         raise SoftmapError(
-            f"{len(residual)} seen frames are too few to tell noise from physics; record at least 5, better 60"
+            f"{len(residual)} seen frames are too few to estimate the noise; record at least 5, better 60"
         )
     step = np.diff(t_seen)
     regular = np.maximum(step[1:], step[:-1]) < 3 * np.median(step)

@@ -59,7 +59,7 @@ def candidates_of(
             why = f"it is between channels, and the model has {record.model.channels}"
             impossible.append(Untestable(name, why, "a robot of more channels", 0.0))
         elif name in lawless:
-            why = "the tendons of this model do not push, or it knows none: there is no such law to change"
+            why = "the model has no such law to change: its tendons do not push, or it has none"
             impossible.append(Untestable(name, why, "a model learned with a robot.toml whose tendons push", 0.0))
         elif lacking := record.model.lacking(name):
             why = f"this model has no field {lacking[0]}"
@@ -77,7 +77,9 @@ def candidates_of(
         # A rod's fields bend its own centreline by one unknown compliance: own weight and tip load differ by less than
         # its form error, and a tilt of gravity is an offset. The simpler member stands for the family.
         block, minutes = experiment(registry, "gravity")
-        impossible.append(Untestable("gravity", "in one orientation a rod cannot tell it from payload", block, minutes))
+        impossible.append(
+            Untestable("gravity", "in one orientation a rod cannot distinguish it from payload", block, minutes)
+        )
     out = {h.name for h in impossible}
     return [n for n in names if n not in out], impossible
 

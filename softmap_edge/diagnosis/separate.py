@@ -1,9 +1,10 @@
-"""The experiment that separates two families of effects: it varies what only one of them depends on.
+"""What to record next: the experiment that separates two families, and the blocks that settle what is open.
 
-Each family declares its own (`rust/families/`). Of two families, that of the more special input is taken: a declared
-condition, then time, then the history of the commands; of one kind the family that is declared later. So delay and
-play are separated by two speeds, creep and time by a repeat after a rest, a load and the shape at rest by two
-orientations. Pinned by tests/test_separate.py.
+Each family declares an experiment (`rust/families/`), which varies what only this family depends on. Of two families,
+the one of the more special input is varied: a declared condition before time, time before the history of the commands.
+Of two families of one kind it is the one declared later. So two speeds separate delay from play, a repeat after a rest
+separates creep from time, and two orientations separate a load from the shape at rest.
+Pinned by tests/test_separate.py.
 """
 
 from __future__ import annotations
@@ -39,8 +40,8 @@ def families_of(effects: Collection[str]) -> tuple[str, ...]:
 
 
 def mended(faults: Sequence[Finding]) -> list[NextBlock]:
-    """Return what is put right by hand before anything is recorded."""
-    block = "put it right, plugs or columns and signs of the mapping, and diagnose again: {}"
+    """Return what to correct by hand before anything is recorded."""
+    block = "correct the wiring, or the columns and signs in the mapping, and diagnose again: {}"
     cases = {f.name: p.meaning for f in faults for p in f.params.values() if p.meaning}
     return [NextBlock(block.format(case), 2.0, (name,)) for name, case in cases.items()]
 

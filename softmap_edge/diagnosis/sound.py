@@ -281,9 +281,9 @@ def _unsteady(run: Run, u: Floats, seen: Floats, visible: Mask) -> tuple[Mask, s
         return none, ""
     if usual > UNSTEADY * moved:
         return none, (
-            f"while nothing is commanded the points scatter by {usual:.3g} mm RMS, {100 * usual / moved:.0f} % of what "
-            "they move at all, which counts as noise and hides what is smaller: does the robot go on moving for long, "
-            "are frames late or out of order, do its mount or the cameras shake?"
+            f"while nothing is commanded the points scatter by {usual:.3g} mm RMS, {100 * usual / moved:.0f} % of all "
+            "their motion; this counts as noise and hides smaller effects. Look for a robot that settles slowly, for "
+            "frames that are late or out of order, and for a mount or a camera that shakes"
         )
     wild = [rows for rows, mm in zip(dwells, scatter) if mm > max(UNSTEADY_TIMES * usual, UNSTEADY * moved)]
     if not wild or len(wild) > UNSTEADY_MOST * len(dwells):
