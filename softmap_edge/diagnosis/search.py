@@ -77,9 +77,8 @@ def _one_by_one(outcome: Outcome, most: int, tell: Callable[[str], None], visibl
         ranking = ranked(state, every, taken)
         if body.free_map or not body.record.error_is_noise:
             body.ordinary_mm = acceptance.ordinary(state, ranking, every)
-        if acceptance.is_ordinary(ranking, state) or (
-            state is not before and not acceptance.beyond_ordinary(ranking, state)
-        ):
+        ordinary = acceptance.is_ordinary(ranking, state)
+        if ordinary or (state is not before and not acceptance.beyond_ordinary(ranking, state)):
             state = State(body, state.fit, state.beside, [f for f in every if f.name in acceptance.BACKGROUND])
             ranking = ranked(state, [f for f in every if f.kind != "static"], taken)
         outcome.state, outcome.loss = state, ranking.found

@@ -86,11 +86,13 @@ def _explained(laws: Law, outcome: Outcome, more: More, visible: float) -> Outco
 
 def _reconsidered(outcome: Outcome, few: Iterable[Law], more: More, visible: float) -> Outcome:
     """Return what a `few` laws at once explain, if that replaces what was found family by family."""
-    steps, noisy = outcome.steps, outcome.body.record.error_is_noise
-    hinted = bool(steps) or (
-        noisy and outcome.hint is not None
-    )  # against the model's own error one family alone is small
-    if not hinted or acceptance.one_pose(outcome.body) or any(step.family.name == "wiring" for step in steps):
+    steps = outcome.steps
+    hinted = outcome.body.record.error_is_noise and outcome.hint is not None  # one family alone is small against noise
+    if (
+        not (steps or hinted)
+        or acceptance.one_pose(outcome.body)
+        or any(step.family.name == "wiring" for step in steps)
+    ):
         return outcome
     clear = len(steps) == 1 and steps[0].answer.resolved and not steps[0].others
     if clear and outcome.left <= rule.LEFT:
@@ -183,9 +185,8 @@ def _confirmed(few: Law, outcome: Outcome, visible: float, together: bool) -> Ou
             return None
         moved = body.record.rms_mm(plain.displacement(answer.law.fit, answer.law.effects[0]))
         lasting = answer.family.kind in ("static", "time")  # as ordinary imperfections do, or from some instant on
-        if moved < max(visible, body.ordinary_mm * lasting) or not acceptance.falls_on(
-            answer.before, answer.law.loss, body
-        ):
+        least = max(visible, body.ordinary_mm * lasting)
+        if moved < least or not acceptance.falls_on(answer.before, answer.law.loss, body):
             return None
         if not acceptance.exceeds_model_error(answer.family, moved, _without_map(body, plain, names)):
             return None
@@ -246,9 +247,8 @@ def _few_laws(outcome: Outcome) -> Iterator[Law]:
         for law in _laws_on(state, fits, names, ranking.found):
             pairs[frozenset((*first.effects, *law.effects))] = _joined(first, law)
     one, two = (min(laws, key=lambda law: law.left, default=None) for laws in (firsts.values(), pairs.values()))
-    if two is not None and (
-        acceptance.MOST < 2 or (one is not None and not acceptance.falls_on(one.loss, two.loss, body))
-    ):
+    alone = one is not None and two is not None and not acceptance.falls_on(one.loss, two.loss, body)
+    if alone or acceptance.MOST < 2:
         two = None
     if two is not None:
         yield two
