@@ -145,7 +145,9 @@ def adapt(
     if not runs:
         raise SoftmapError("no run is given; an adaptation needs at least one")
     if held_out is not None and held_out.hash() in [one.hash() for one in runs]:
-        raise SoftmapError("the held-out run is one that teaches, so it judges nothing; give an independent run")
+        raise SoftmapError(
+            "the held-out run is used for learning too, so it validates nothing; give an independent run"
+        )
     base, calibration = _calibrated(base, runs, say)
     shown = [_shown(base, one, say) for one in runs]
     found = _missing(base, shown, say) if physics else None

@@ -51,11 +51,11 @@ class Alternative:
 class LearnedIn:
     """An effect that a model was learned with.
 
-    `name` is the effect in the chain. `law` is one of three. `identified`: no alternative fits. `ambiguous`: the
+    `name` is the effect in the chain. `law` is one of four. `identified`: no alternative fits. `ambiguous`: the
     evidence is weak, or an alternative of another family, or with as few numbers, fits as well. `open`: a number is at
-    its bound, or no law of the library fits as well as the family. `before_mm` and `after_mm` are held-out errors, RMS,
-    without and with the effect. A law may also be `unknown`: then no effect of the library explains the family that was
-    detected, the chain holds nothing of it, and `name` is empty.
+    its bound, or no law of the library fits as well as the family. `unknown`: no effect of the library explains the
+    detected family; the chain holds nothing of it, and `name` is empty. `before_mm` and `after_mm` are held-out errors,
+    RMS, without and with the effect.
     """
 
     name: str

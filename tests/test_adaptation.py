@@ -143,7 +143,7 @@ def test_what_cannot_be_adapted_to_is_refused(adapted):
     with pytest.raises(SoftmapError, match="no run is given"):
         adapt(MODEL, [])
     ticks = adapted.runs[0]
-    with pytest.raises(SoftmapError, match="judges nothing"):
+    with pytest.raises(SoftmapError, match="validates nothing"):
         adapt(MODEL, [ticks], held_out=ticks)
     few = ticks.at(np.arange(5))
     with pytest.raises(SoftmapError, match="held commands|frames"):

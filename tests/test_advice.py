@@ -39,7 +39,7 @@ def test_a_full_protocol_can_tell_everything():
     found = summary(full())
     assert found["cannot_tell"] == [] and len(found["can_tell"]) == 9
     assert "2 orientations" in answers(full())["orientation"]["text"]
-    assert answers(full())["noise"]["text"].startswith("noise from physics: the noise is 0.17 mm")  # √3 · 0.1
+    assert answers(full())["noise"]["text"].startswith("noise vs. effects: the noise is 0.17 mm")  # √3 · 0.1
 
 
 def held(t):
@@ -69,12 +69,12 @@ def triangle(t):
         (held, "drive", "the commands never change"),
         (one_way, "direction", "channel 0, 1 is seen coming from one side only"),
         (one_way, "sides", "pulled to one side only"),
-        (together, "channels", "channel 0 from channel 1: they move together (correlation 1.00)"),
+        (together, "channels", "channel 0 vs. channel 1: they move together (correlation 1.00)"),
         (alone, "channels", "channel 1: it never moves"),
         (triangle, "speed", "always moves at about 0.12 of its range"),
         (triangle, "dwell", "rest for 0."),
         (triangle, "home", "home is never visited"),
-        (triangle, "noise", "too little is seen twice"),
+        (triangle, "noise", "too few repeated poses"),
     ],
 )
 def test_what_the_motion_cannot_tell_is_said_with_a_remedy(command, about, words):
@@ -202,7 +202,7 @@ def test_the_text_is_for_a_terminal_and_adds_the_minutes_up(tmp_path, capsys):
     document = summary(Run.load(tmp_path / "run.npz"))
     minutes = sum(word["minutes"] for word in document["cannot_tell"])
     assert f"about {minutes:g} minutes" in text
-    assert text.index("From this run one can tell") < text.index("From this run one cannot tell")
+    assert text.index("This run can identify") < text.index("This run cannot identify")
     assert text.count("      > ") == len(document["cannot_tell"])
     assert sentences(document)[-1] in text
 

@@ -179,8 +179,8 @@ def begins_bent(f):
 # What still shows the play, less what is no measurement: with what is said about it, or None.
 TOLERATED = {
     "as it is": (lambda f: f, None),
-    "twelve frames": (lambda f: some(f, np.linspace(0, 299, 12).astype(int)), "12 frames leave few to judge by"),
-    "no replicates": (lambda f: some(f, np.arange(0, 300, 8)), "too little is seen twice"),
+    "twelve frames": (lambda f: some(f, np.linspace(0, 299, 12).astype(int)), "12 frames leave too few for validation"),
+    "no replicates": (lambda f: some(f, np.arange(0, 300, 8)), "too few repeated poses"),
     "a camera that hangs": (repeats(3), "200 of 300 frames are set aside: each repeats the picture before"),
     "a camera that stops": (freezes, "99 of 300 frames are set aside: each repeats"),
     "frames stamped twice": (stamped_twice, "300 of 600 frames are set aside: each repeats"),
@@ -311,14 +311,14 @@ def test_frames_out_of_order_in_a_dwell_are_set_aside_and_hide_nothing(tmp_path,
 def test_a_slow_lag_is_a_lag_and_its_scatter_at_rest_is_told():
     found = diagnose(builtin_model(), finger_run(["lag"], {"lag.tau": 2.0}), effects=["lag", "rate_limit", "creep"])
     assert found.verdict == "identified" and [entry.name for entry in found.effects] == ["lag"]
-    assert any("which counts as noise and hides what is smaller" in remark for remark in found.remarks)
+    assert any("this counts as noise and hides smaller effects" in remark for remark in found.remarks)
 
 
 def test_a_recording_has_one_place(tmp_path):
     run = finger_run()
     with pytest.raises(SoftmapError, match="same run is given twice"):
         diagnose(builtin_model(), [run, run])
-    with pytest.raises(SoftmapError, match="judges nothing"):
+    with pytest.raises(SoftmapError, match="validates nothing"):
         diagnose(builtin_model(), run, run)
     with pytest.raises(SoftmapError, match="the reference is the run itself"):
         diagnose(builtin_model(), run, reference=[run])

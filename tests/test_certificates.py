@@ -12,6 +12,7 @@ from softmap_edge.diagnosis.diagnose import diagnose
 from softmap_edge.diagnosis.document import Diagnosis
 from softmap_edge.diagnosis.families import Body, State, families
 from softmap_edge.diagnosis.findings import Certificate, power
+from softmap_edge.diagnosis.fit import Problem
 from softmap_edge.diagnosis.fits import Fits
 from softmap_edge.diagnosis.noise import command_kernel
 from softmap_edge.diagnosis.outcome import Outcome
@@ -36,7 +37,7 @@ def claimed(run, names=None):
     body, fits = Body(problem, NAMES), Fits(problem, NAMES)
     singles = [fits.get((name,)) for name in NAMES] if names is None else [fits.get(names)]
     fit = min(singles, key=lambda one: one.cost)
-    loss = fits.losses(fit)[1]
+    loss = fits.losses(fit)[0]
     outcome = Outcome(body, fits, fits, State(body, fit), loss, loss)
     found = certified(outcome, fit, withheld(record.t_seen, record.block, record.begins))
     return found, 0.5 * (fits.null.chi2 - fit.chi2) / np.log(10.0)
@@ -122,7 +123,8 @@ def test_e_value_is_that_of_fits_in_full():
         modes = problem.modes(record.predict(effects, np.array([[values[label] for label in labels]]))[0])
         return float(np.sum(problem.whitener.shrink(modes[kept.rows], kernel) ** 2))
 
-    few = problem.some(kept.chosen)
+    kernel_of_few = command_kernel(record.command[kept.chosen], record.spread, record.leaning[kept.chosen])
+    few = Problem(record.some(kept.chosen), problem.noise, replace(problem.whitener, kernel=kernel_of_few))
     fit = few.fit(("latency", "backlash"), [Fits(problem, NAMES).get(("latency", "backlash")).x])
     least = min(chi2(("latency",), {"latency.delay": delay}) for delay in np.linspace(0.0, 0.6, 301))
     fall = (least - chi2(fit.effects, fit.params)) / max(1.0, fit.chi2 / few.numbers)

@@ -13,9 +13,9 @@ import pytest
 
 from softmap_edge import Run, _core, builtin_model, diagnose, next_experiment, save_bundle
 from softmap_edge.cli import main
-from softmap_edge.diagnosis.conclusion import _next
 from softmap_edge.diagnosis.document import Diagnosis
 from softmap_edge.diagnosis.findings import Alternative, Untestable
+from softmap_edge.diagnosis.separate import next_blocks
 from softmap_edge.errors import SoftmapError
 from softmap_edge.experiment.blocks import BLOCKS, chosen, plan
 from softmap_edge.experiment.choose import SETTLED, program
@@ -205,7 +205,7 @@ def test_what_is_named_beside_a_rival_is_not_open():
     """A rival set holds the rest of what is named too: only the member and what stands for it are to be settled."""
     other = Alternative(("gain", "latency"), "", "lag")
     registry = {effect["name"]: effect for effect in _core.effects()}
-    (block,) = _next([other], [], registry, ["gain", "lag"])
+    (block,) = next_blocks([other], [], registry, ["gain", "lag"])
     assert block.settles == ("lag", "latency") and block.block == registry["lag"]["experiment"][0]
 
 

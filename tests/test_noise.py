@@ -8,6 +8,7 @@ import pytest
 from softmap_edge import Run, builtin_model
 from softmap_edge.diagnosis.advice import DWELL_FRAMES
 from softmap_edge.diagnosis.comparison import compare
+from softmap_edge.diagnosis.floor import noise_of_points
 from softmap_edge.diagnosis.memoryless import Repeats
 from softmap_edge.diagnosis.noise import (
     Noise,
@@ -18,7 +19,7 @@ from softmap_edge.diagnosis.noise import (
     rod_noise,
     whitener,
 )
-from softmap_edge.diagnosis.prepare import candidates_of, noise_of, problem_of
+from softmap_edge.diagnosis.prepare import candidates_of, problem_of
 from softmap_edge.diagnosis.record import Record
 from softmap_edge.errors import SoftmapError
 from softmap_edge.protocol import standard_protocol
@@ -212,13 +213,13 @@ def test_what_a_lean_makes_is_another_error_in_another_orientation():
 
 
 def chi2(vertices, protocol):
-    """Chi² per number of the built-in model on a run without a hidden effect, and the noise."""
+    """Chi² per number of the built-in model on a run without a hidden effect, and the noise of a point, mm."""
     run = Run(t=protocol.t, command=protocol.command, gravity=protocol.gravity, t_seen=protocol.t_seen,
               block=protocol.block, vertices=vertices, command_unit="mm")  # fmt: skip
     record = Record(builtin_model(), run)
     names = candidates_of(record, {e["name"]: e for e in record.library.effects()}, None)[0]
     problem = problem_of(record, names)
-    return problem.null().chi2 / problem.numbers, problem.noise
+    return problem.null().chi2 / problem.numbers, noise_of_points(run).mm
 
 
 @pytest.mark.parametrize("camera", [Camera(), Camera(shift_mm=0.3, turn_deg=0.2, memory_s=10.0)])
@@ -233,7 +234,7 @@ def test_with_nothing_hidden_chi2_is_the_count_of_numbers(camera):
     # a point: its own noise, and the frame's at 60 mm from the base, in all directions
     turn = np.radians(camera.turn_deg) * np.sqrt(2.0) * np.sqrt(np.mean(np.sum(clean**2, axis=2)))
     true = np.sqrt(3 * camera.vertex_mm**2 + 3 * camera.shift_mm**2 + turn**2)
-    assert np.mean([noise.point_mm for _, noise in found]) == pytest.approx(true, rel=0.15)
+    assert np.mean([mm for _, mm in found]) == pytest.approx(true, rel=0.15)
 
 
 @pytest.mark.prove
@@ -244,16 +245,14 @@ def test_with_nothing_hidden_chi2_is_right_on_another_finger(seed):
     assert ratio == pytest.approx(1.0, abs=0.15)
 
 
-def test_check_compare_and_diagnose_have_one_noise():
+def test_check_and_compare_report_one_noise():
     protocol, model = standard_protocol(), builtin_model()
     rest = np.repeat(model.rest[None], protocol.frames, axis=0)
     run = Run(t=protocol.t, command=protocol.command, gravity=protocol.gravity, t_seen=protocol.t_seen,
               vertices=rest, command_unit="mm", robot=model.robot)  # fmt: skip
     seen = Camera(memory_s=5.0, shift_mm=0.2).look(model.predict(run), run.t_seen, np.random.default_rng(0))
     run = replace(run, vertices=seen)
-    record = Record(model, run)
-    base = record.predict(model.chain_names, record.own()[None])[0]
     number = compare(model, run).noise_floor_mm
-    assert noise_of(record, record.seen - base).point_mm == number
+    assert noise_of_points(run).mm == number
     text = next(w["text"] for w in summary(run)["can_tell"] if w["about"] == "noise")
     assert f"the noise is {number:.2g} mm" in text

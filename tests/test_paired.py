@@ -152,7 +152,7 @@ def test_what_was_found_relative_to_a_reference_is_not_expected_of_it_again():
 def test_the_next_experiment_is_chosen_for_a_difference():
     run, free = finger_run(["payload"], {"payload.mass": 9.0}), finger_run()
     found = diagnose(MODEL, run, effects=["payload", "gravity", "offset"], reference=free)
-    assert any("recorded twice" in remark for remark in found.remarks)
+    assert any("next block twice" in remark for remark in found.remarks)
     open_one = (Alternative(("gravity",), "for the test"),)
     found = replace(found, alternatives=open_one, not_testable=())
     paired = next_experiment(MODEL, found, [run], references=[free])[0]

@@ -72,7 +72,7 @@ def test_verbs_take_it_as_any_run(tracked, tmp_path, capsys):
     # Servos are seen where they stand; the model is right but for the noise.
     assert json.loads(capsys.readouterr().out)["error"]["rms_mm"] < 0.35
     assert main(["diagnose", file, "--out", f"{out}.json"]) == 0
-    assert "Nothing above the floor is seen" in capsys.readouterr().out
+    assert "No effect exceeds the noise floor" in capsys.readouterr().out
     found = Diagnosis.load(f"{out}.json")
     assert not (found.effects or found.faults or found.families or found.alternatives)
     # Small circles of 4 s, hanging: a third of all effects would not show.

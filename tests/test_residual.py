@@ -235,7 +235,7 @@ def test_memory_is_found_through_a_residual():
     assert found.effects[0].params["hysteresis.reach"].value == pytest.approx(5.0, rel=0.05)
 
 
-@pytest.mark.parametrize(("size", "reason"), [(0.15, "may be its own error"), (0.7, "no effect explains alone")])
+@pytest.mark.parametrize(("size", "reason"), [(0.15, "may be its own error"), (0.7, "no single effect explains")])
 def test_nothing_stays_nothing_and_says_what_the_residual_is(size, reason):
     run = warped(hanging(finger_run()), size)
     model, _ = learn_residual(MODEL, run)
@@ -247,7 +247,7 @@ def test_nothing_stays_nothing_and_says_what_the_residual_is(size, reason):
 
 def test_a_residual_of_another_run_is_told(adapted):
     found = diagnose(adapted[0], hanging(finger_run()))
-    assert found.verdict == "nothing" and "it is not of this run" in found.sentence
+    assert found.verdict == "nothing" and "it does not lower the error of this run" in found.sentence
 
 
 def test_a_reference_run_stands_for_the_residual_too(adapted, loaded):

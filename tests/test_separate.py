@@ -4,10 +4,8 @@ import pytest
 from test_next_experiment import LIMITS, MODEL, document, played
 
 from softmap_edge import _core, next_experiment
-from softmap_edge.diagnosis.conclusion import _next
-from softmap_edge.diagnosis.families import families
 from softmap_edge.diagnosis.findings import Alternative, FamilyFinding, Untestable
-from softmap_edge.diagnosis.separate import families_of, separating
+from softmap_edge.diagnosis.separate import families_of, next_blocks, separating
 from softmap_edge.experiment.blocks import BLOCKS
 from softmap_edge.experiment.choose import Experiment, program
 from softmap_edge.experiment.simulate import Question
@@ -33,9 +31,9 @@ def test_two_families_are_separated_by_what_only_one_depends_on(one, other, word
 
 
 def test_every_family_is_separated_from_each_that_it_mimics():
-    for family in families():
-        for other in family.mimics:
-            assert separating(family.name, other) is not None, (family.name, other)
+    for family in _core.families():
+        for other in family["mimics"]:
+            assert separating(family["name"], other) is not None, (family["name"], other)
     assert separating("memory", "memory") is None and separating("nothing", "static shape") is None
 
 
@@ -52,12 +50,12 @@ def test_the_diagnosis_asks_between_families_before_it_asks_between_laws():
     between = Alternative(("latency",), "fits as well", "backlash", "delay")
     hidden = Untestable("creep", "weak", "staircase", 2.0)
     found = [family("memory", ("backlash",), ("delay",))]
-    blocks = _next([within, between], [hidden], REGISTRY, ["backlash"], found)
+    blocks = next_blocks([within, between], [hidden], REGISTRY, ["backlash"], found)
     assert blocks[0].block == separating("memory", "delay")[0] and blocks[0].settles == ("memory", "delay")
     assert any("hysteresis" in block.settles for block in blocks[1:]) and blocks[-1].settles == ("creep",)
     # An alternative alone, without the list of the family, asks the same; one of the same family asks nothing first.
-    assert _next([between], [], REGISTRY, ["backlash"], [family("memory", ("backlash",))])[0] == blocks[0]
-    alone = _next([within], [], REGISTRY, ["backlash"], [family("memory", ("backlash",))])
+    assert next_blocks([between], [], REGISTRY, ["backlash"], [family("memory", ("backlash",))])[0] == blocks[0]
+    alone = next_blocks([within], [], REGISTRY, ["backlash"], [family("memory", ("backlash",))])
     assert alone[0].block == REGISTRY["backlash"]["experiment"][0]
 
 

@@ -13,7 +13,7 @@ import pytest
 from test_diagnosis import finger_run
 
 from softmap_edge import _core, builtin_model, diagnose
-from softmap_edge.diagnosis import search, together
+from softmap_edge.diagnosis import acceptance, search, together
 from softmap_edge.diagnosis.decision import in_one_fold
 from softmap_edge.diagnosis.families import Body, State, applied, families, linearised, ranked
 from softmap_edge.diagnosis.fits import Fits
@@ -220,15 +220,16 @@ def law(name, loss, numbers, **params):
     return Law(name, effects, fit, np.full(8, loss / 8), numbers)
 
 
-def judged(*laws, representative=100.0, before=1000.0, half=10.0, kind="static", spool=None, model="table"):
+def judged(*laws, representative=100.0, before=1000.0, half=10.0, kind="static", spool=None, noisy=False):
     """The answer of level 2 for a family whose representative leaves `representative` of `before`."""
     asked = object.__new__(_Asked)
     asked.form, asked.before = 0.025, np.full(8, before / 8)
     asked.representative = SimpleNamespace(
-        family=SimpleNamespace(name="static map", kind=kind), loss=np.full(8, representative / 8), numbers=9.0
-    )
+        family=SimpleNamespace(name="static map", kind=kind),
+        loss=np.full(8, representative / 8), left=representative, numbers=9.0,
+    )  # fmt: skip
     asked.fits = SimpleNamespace(candidates=["gain", "offset", "asymmetry", "eccentric_pulley"])
-    record = SimpleNamespace(spool=spool, model=SimpleNamespace(kind=model))
+    record = SimpleNamespace(spool=spool, error_is_noise=noisy)
     asked.body = SimpleNamespace(half=np.array([half]), problem=SimpleNamespace(numbers=60.0), record=record)
     return asked.judged(list(laws))
 
@@ -254,7 +255,7 @@ def test_a_static_law_that_does_most_of_its_family_is_the_candidate_of_an_open_o
     assert judged(*laws, kind="time").law.name == "gain"
     memory = judged(*laws, kind="memory")
     assert memory.law.name == "gain" and memory.rough and not memory.open and not memory.resolved
-    assert judged(*laws, kind="memory", model="rod").law is None  # its own error is part of its noise
+    assert judged(*laws, kind="memory", noisy=True).law is None  # its own error is part of its noise
     assert judged(law("gain", 500, 1), kind="memory").law is None  # it explains less than 0.6 of what the family does
     pulley = law("eccentric_pulley", 110, 5, **{"eccentric_pulley.radius": 8.0})
     assert judged(pulley, *laws).law.name == "gain"  # less than a turn of a sine is any smooth map
@@ -423,7 +424,7 @@ def test_a_family_that_leaves_only_noise_excludes_one_that_leaves_more(monkeypat
     state = SimpleNamespace(body=SimpleNamespace(problem=SimpleNamespace(numbers=100.0)))
 
     def excluded(one, other, mimic=False):
-        monkeypatch.setattr(search, "does_the_same", lambda *args: mimic)
+        monkeypatch.setattr(acceptance, "does_the_same", lambda *args: mimic)
         return search._excluded(one, [one, other], None, state)
 
     warmed, slipped, scaled = answer("condition", 105), answer("time", 160), answer("static", 160)
@@ -457,12 +458,12 @@ def test_sets_of_laws_are_tried_until_one_leaves_nothing_unknown(monkeypatch):
     """Two laws, more laws, one law: what is not confirmed, or stands for nothing, is passed over."""
     sets = [law("gain+mount", 90, 8), law("gain+mount+creep", 80, 11), law("gain", 100, 2)]
     step = SimpleNamespace(family=SimpleNamespace(name="body"), answer=SimpleNamespace(resolved=False), others=())
-    body = SimpleNamespace(record=SimpleNamespace(model=SimpleNamespace(kind="table")), ordinary_mm=0.1)
+    body = SimpleNamespace(record=SimpleNamespace(error_is_noise=False), ordinary_mm=0.1)
 
     def found(tried, confirmed, stands, left):
         start = SimpleNamespace(steps=[step], body=body, left=0.5, few=None)
         start.null, start.loss = np.full(8, 50.0), np.full(8, 25.0)
-        monkeypatch.setattr(together, "one_pose", lambda body: False)
+        monkeypatch.setattr(acceptance, "one_pose", lambda body: False)
         monkeypatch.setattr(together, "held_out_loss", lambda outcome: np.ones(8))
         monkeypatch.setattr(together, "_stands_for", lambda other, best: stands[sets.index(other.few)])
         monkeypatch.setattr(together, "_with_others", lambda other, outcome: other)

@@ -175,7 +175,7 @@ SHARES: tuple[Measure, ...] = (
      lambda r: r["flagged"] or r["equivalent"]),
     ("not identifiable: left open, with the right experiment", "≥ 98 %",
      _is("untestable", known=None), lambda r: r["cannot"]),
-    ("rivals resolved after the suggested experiment", "≥ 97 %",
+    ("alternatives resolved after the suggested experiment", "≥ 97 %",
      _is("rivals"), lambda r: r["at_first"]["asked"] and r["first"]),
     ("clouds: twist is reported as not testable", "100 %",
      lambda r: r["seen"] == "clouds", lambda r: "twist" in r["not_testable"]),

@@ -25,8 +25,8 @@ ASKED = 3  # near families whose laws are tried
 SIMPLER = {"static": 1, "memory": 2, "condition": 2, "time": 3}  # order in which near families are taken
 
 
-def falls_on(before: Floats, after: Floats, body: Body, share: float = rule.FALL_NEXT, laws: bool = False) -> bool:
-    """Whether a loss (folds,) is seen to fall, by a `share` of what stood above the noise.
+def falls_on(before: Floats, after: Floats, body: Body, share: float | None = None, laws: bool = False) -> bool:
+    """Whether a loss (folds,) is seen to fall, by a `share` of what stood above the noise, FALL_NEXT by default.
 
     Where the loss is no more than noise, the noise is estimated too large or nothing is missing. Then the share is of
     the complete loss. `laws` says that laws were found before, whose form is off as well.
@@ -34,7 +34,7 @@ def falls_on(before: Floats, after: Floats, body: Body, share: float = rule.FALL
     fall, total = difference(before, after), float(before.sum())
     least = (rule.FALL if stands_out(before, body, laws) else rule.FALL_FIRST) * total
     above = max(0.0, total - rule.ABOVE_NOISE * body.problem.numbers)
-    return seen_to_fall(fall) and fall.fall >= max(least, share * above)
+    return seen_to_fall(fall) and fall.fall >= max(least, (rule.FALL_NEXT if share is None else share) * above)
 
 
 def stands_out(loss: Floats, body: Body, laws: bool) -> bool:
@@ -53,13 +53,13 @@ def accepted(row: Representative, ranking: Ranking, state: State, later: bool, v
         return False  # an event leaves its mark on later folds too
     if static and not beyond_ordinary(ranking, state):
         return False
-    record, rod = state.body.record, state.body.record.model.kind == "rod"
-    if rod and row.family.kind in ("static", "time"):  # the model error of a rod is part of its noise
+    record = state.body.record
+    if record.error_is_noise and row.family.kind in ("static", "time"):
         if difference(ranking.before, row.loss).fall < rule.FALL_NEXT * float(ranking.before.sum()):
             return False
         if not exceeds_model_error(row.family, row.moved_mm, state):
             return False
-    return row.moved_mm >= max(visible, float(noise), record.form_mm if static and not rod else 0.0)
+    return row.moved_mm >= max(visible, float(noise), record.form_mm if static and not record.error_is_noise else 0.0)
 
 
 def exceeds_model_error(family: Family, moved_mm: float, state: State) -> bool:

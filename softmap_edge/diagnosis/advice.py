@@ -1,4 +1,4 @@
-"""What a run can tell and what it cannot, before any fit, in plain words; and what to record to do better.
+"""What a run can identify and what it cannot, before any fit, and what to record to do better.
 
 Each word is about one question that a diagnosis will ask, answered from the run alone: how many frames, is the noise
 known, is home visited, how does it move. Limits are those of the methods that ask (`noise.py`, `fit.py`) or a factor
@@ -53,7 +53,7 @@ class Word:
 
 
 def advice(run: Run, home_visits: int) -> list[Word]:
-    """Return what a run can tell and what it cannot, most important first.
+    """Return what a run can identify and what it cannot, most important first.
 
     Args:
         run: any run. home_visits: how often it rests at home (`summary` counts them).
@@ -64,7 +64,7 @@ def advice(run: Run, home_visits: int) -> list[Word]:
         ]
     u = commanded(run)
     state = conditions(run, u)
-    words = [_enough(run.frames), _noise(run), _home(run, home_visits)]
+    words = [_enough(run.frames), _noise(run), _home(home_visits)]
     words += [] if run.output is not None else [_orientation(run), *_points(run)]  # outputs have no body
     words += _drive(u)
     if words[-1].about != "drive":
@@ -77,26 +77,27 @@ def asked(runs: Sequence[Run], frames: int, replicates: bool) -> list[str]:
     """Return as sentences what a diagnosis stands on that its runs do not give.
 
     Args:
-        runs: that are diagnosed together: what one of them tells is told. frames: that were used of all.
-        replicates: whether dwells told the noise.
+        runs: runs that are diagnosed together; what one of them shows is known.
+        frames: number of frames used of all runs.
+        replicates: whether the noise comes from dwells.
     """
     words = [_enough(frames), *_drive(np.concatenate([commanded(run) for run in runs]))]
     if not replicates:
         words.append(_guessed(next((run.sigma for run in runs if run.sigma is not None), None)))
     leaning = [run for run in runs if run.gravity is None and run.output is None]
     words += [_orientation(run) for run in leaning[:1]]
-    poor = [f"these data cannot tell {word.text}; {word.remedy}" for word in words if not word.tells]
+    poor = [f"these data cannot identify {word.text}; {word.remedy}" for word in words if not word.tells]
     return list(dict.fromkeys(poor))
 
 
 def _guessed(sigma: Floats | None) -> Word:
     """Say that the noise is a guess: a declared `sigma` is held against repeats (`sound.py`), never taken for them."""
-    told = ""
+    stated = ""
     if sigma is not None:
-        told = f"; the {np.median(sigma):.2g} mm a coordinate that a run declares are not taken for it"
+        stated = f"; the declared {np.median(sigma):.2g} mm per coordinate is not used"
     return Word(
         "noise", False,
-        f"noise from physics of the same size: too little is seen twice, so the noise is only guessed{told}",
+        f"noise vs. effects of the same size: too few repeated poses to estimate the noise{stated}",
         f"rest at home and at two other places for 10 s each, with {DWELL_FRAMES} frames or more each time", 1.0,
     )  # fmt: skip
 
@@ -106,7 +107,7 @@ def _enough(frames: int) -> Word:
         text = f"which effect is missing: {frames} frames are too few to hold some out"
         return Word("frames", False, text, f"record at least {ENOUGH_FRAMES} frames, better 360", 4.0)
     if frames < ENOUGH_FRAMES:
-        text = f"small effects: {frames} frames leave few to judge by"
+        text = f"small effects: {frames} frames leave too few for validation"
         return Word("frames", False, text, "record the same for longer, about 360 frames", 4.0)
     return Word("frames", True, f"whether an effect helps on what was not fitted: {frames} frames can be held out")
 
@@ -118,16 +119,16 @@ def _noise(run: Run) -> Word:
     found = noise_of_points(run)
     if found is not None:
         size = f"{found.mm:.2g} mm" if run.output is None else f"{run.output.value(found.mm):.2g} {run.output.unit}"
-        return Word("noise", True, f"noise from physics: the noise is {size}, from {found.source}")
+        return Word("noise", True, f"noise vs. effects: the noise is {size}, from {found.source}")
     return _guessed(run.sigma)
 
 
-def _home(run: Run, visits: int) -> Word:
+def _home(visits: int) -> Word:
     if visits >= ENOUGH_VISITS:
         return Word("home", True, f"drift, and whether the base moved: home is visited {visits} times")
     often = {0: "never visited", 1: "visited once", 2: "visited twice"}[visits]
     return Word(
-        "home", False, f"drift from play, and whether the base moved: home is {often}",
+        "home", False, f"drift vs. play, and whether the base moved: home is {often}",
         "rest at home for 5 s at the start, at the end and once in between", 0.5,
     )  # fmt: skip
 
@@ -137,13 +138,13 @@ def _orientation(run: Run) -> Word:
     seen = run.gravity if run.gravity is None or run.gravity.ndim == 1 else run.gravity[at]
     count = orientations(seen)
     if count > 1:
-        return Word("orientation", True, f"the robot's own weight from a load at its tip: {count} orientations")
+        return Word("orientation", True, f"the robot's own weight vs. a load at its tip: {count} orientations")
     declared = "the orientation is not declared" if run.gravity is None else "it is seen in one orientation"
     loads = run.load is not None and float(np.ptp(run.load)) > 0
     if loads:
-        return Word("orientation", True, "the robot's own weight from a load at its tip: the load changes")
+        return Word("orientation", True, "the robot's own weight vs. a load at its tip: the load changes")
     return Word(
-        "orientation", False, f"the robot's own weight from a load at its tip: {declared}",
+        "orientation", False, f"the robot's own weight vs. a load at its tip: {declared}",
         "repeat the moves with the robot leaning by about 35°, and declare `gravity` in both", 3.0,
     )  # fmt: skip
 
@@ -195,10 +196,10 @@ def _channels(u: Floats) -> Iterator[Word]:
         pair = np.unravel_index(int(np.argmax(r)), r.shape)
         if r[pair] > TOGETHER:
             one, two = alive[min(pair)], alive[max(pair)]
-            text = f"channel {one} from channel {two}: they move together (correlation {r[pair]:.2f})"
+            text = f"channel {one} vs. channel {two}: they move together (correlation {r[pair]:.2f})"
             yield Word("channels", False, text, "move each channel alone, the others at rest", float(len(alive)))
         elif not len(still):
-            text = f"one channel from another: all {len(alive)} move independently"
+            text = f"one channel vs. another: all {len(alive)} move independently"
             yield Word("channels", True, text)
     one_sided = [c for c in alive if u[:, c].min() > -0.05 * u[:, c].max() or u[:, c].max() < -0.05 * u[:, c].min()]
     if one_sided:
@@ -219,21 +220,21 @@ def _speed(u: Floats, state: Conditions) -> Word:
     few = min(MOVING, len(pool) // 4)  # as many as that are faster, and as many slower
     slow, fast = pool[few], pool[-1 - few]
     if fast < SPEEDS * slow:
-        text = f"delay and lag from play: it always moves at about {np.sqrt(slow * fast):.2g} of its range a second"
+        text = f"delay and lag vs. play: it always moves at about {np.sqrt(slow * fast):.2g} of its range a second"
         return Word("speed", False, text, remedy, 1.0)
     if fast < SLOW:
-        text = f"delay and lag from play: it never moves faster than {fast:.2g} of its range a second"
+        text = f"delay and lag vs. play: it never moves faster than {fast:.2g} of its range a second"
         return Word("speed", False, text, remedy, 1.0)
-    return Word("speed", True, f"delay and lag from play: it moves at {slow:.2g} to {fast:.2g} of its range a second")
+    return Word("speed", True, f"delay and lag vs. play: it moves at {slow:.2g} to {fast:.2g} of its range a second")
 
 
 def _dwell(state: Conditions) -> Word:
     away = ~(np.abs(state.command).max(axis=1) <= 0.1 * np.abs(state.command).max())
     longest = float(state.dwell[away & ~state.moving].max(initial=0.0))
     if longest >= DWELL:
-        return Word("dwell", True, f"creep from play: it is seen to rest away from home for up to {longest:.0f} s")
+        return Word("dwell", True, f"creep vs. play: it is seen to rest away from home for up to {longest:.0f} s")
     return Word(
-        "dwell", False, f"creep from play: away from home it is seen to rest for {longest:.1f} s at most",
+        "dwell", False, f"creep vs. play: away from home it is seen to rest for {longest:.1f} s at most",
         "a staircase: half, full, half the range, and rest 7 s on each step, five frames each", 2.0,
     )  # fmt: skip
 
@@ -255,14 +256,14 @@ def _direction(state: Conditions) -> Word:
 def _temperature(run: Run) -> Word:
     remedy = "log a thermometer beside the silicone; warm it up by 5 °C while it moves, and let it cool down again"
     if run.temperature is None:
-        return Word("temperature", False, "thermal softening from creep: no temperature is logged", remedy, 15.0)
+        return Word("temperature", False, "thermal softening vs. creep: no temperature is logged", remedy, 15.0)
     change = float(np.ptp(run.temperature))
     if change < WARMING:
-        text = f"thermal softening from creep: the temperature changes by {change:.1f} °C only"
+        text = f"thermal softening vs. creep: the temperature changes by {change:.1f} °C only"
         return Word("temperature", False, text, remedy, 15.0)
     for confused in collinear_conditions(run):
         if confused.condition == "temperature":
             other = "drift over time" if confused.with_ == "time" else "effects of the commands"
-            text = f"thermal softening from {other}: the temperature follows {confused.like}"
+            text = f"thermal softening vs. {other}: the temperature follows {confused.like}"
             return Word("temperature", False, text, confused.remedy, 15.0)
-    return Word("temperature", True, f"thermal softening from creep: the temperature changes by {change:.1f} °C")
+    return Word("temperature", True, f"thermal softening vs. creep: the temperature changes by {change:.1f} °C")

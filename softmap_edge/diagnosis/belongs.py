@@ -165,7 +165,7 @@ def _in_reach(model: Model, run: Run, predicted: Floats, length: float) -> None:
     why = (reasons or [""])[0] or "look at the commands with `softmap show`"
     raise RunError(
         f"in {int(gone.sum())} of {len(gone)} frames the model puts the body beyond {OUT_OF_REACH * length:.3g} mm "
-        f"from its base, {OUT_OF_REACH:g} times the length of '{model.robot}', so nothing can be told: {why}"
+        f"from its base, {OUT_OF_REACH:g} times the length of '{model.robot}', so the run cannot be used: {why}"
     )
 
 

@@ -101,11 +101,11 @@ class _Evidence:
         share = len(kept.chosen) / len(outcome.body.record)
         scale = chosen / max(1.0, share * outcome.body.problem.numbers - len(fit.x))
         # A rod's noise is its error on the run, in which the effect that is tested has a share: it may be too large.
-        self.dispersion = scale if outcome.body.record.model.kind == "rod" else max(1.0, scale)
+        self.dispersion = scale if outcome.body.record.error_is_noise else max(1.0, scale)
 
     def of_effect(self, name: str) -> float:
         """Return log10 e of an effect."""
-        numbers = sum(label.split(".")[0] == name for label in self.fit.space.free_labels)
+        numbers = int(self.fit.space.of((name,)).sum())
         return self._log10_e(self.outcome.fits.without(self.fit, name), self.beside, numbers)
 
     def of_family(self, name: str) -> float:
@@ -139,7 +139,7 @@ def _split(outcome: Outcome, kept: Withheld) -> Problem:
     Ordinary imperfections are smooth in the commands like the model's own error, and add to it.
     """
     whole = copy(outcome.body.problem)
-    larger = 1.0 + (outcome.ordinary_mm / max(whole.record.form_mm, 1e-9)) ** 2
+    larger = 1.0 + (outcome.body.ordinary_mm / max(whole.record.form_mm, 1e-9)) ** 2
     whole.whitener = replace(whole.whitener, form=larger * whole.whitener.form)
     whole.folds = [(kept.chosen, kept.rows), (kept.rows, kept.rows), (kept.chosen, kept.chosen)]
     whole.__dict__.pop("fold_kernels", None)

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from softmap_edge.diagnosis import decision as rule
 from softmap_edge.diagnosis.decision import difference, seen_to_fall
-from softmap_edge.diagnosis.families import WARMED, State, best_ridge, declared_numbers, families, seen_commands
+from softmap_edge.diagnosis.families import WARMED, State, best_ridge, declared, families, seen_commands
 from softmap_edge.diagnosis.outcome import Outcome
 
 Floats = NDArray[np.float64]
@@ -59,7 +59,7 @@ def changing(outcome: Outcome) -> list[Change]:
         law = step.answer.law
         if not step.answer.resolved or law is None or not set(law.effects) <= set(state.fit.effects):
             continue
-        explained = float(step.answer.before.sum() - step.answer.loss.sum())
+        explained = float(step.answer.before.sum()) - step.answer.left
         shares = {name: _fall(state, law.effects, c) / max(explained, 1e-300) for name, c in conditions.items()}
         most = max(shares, key=lambda name: shares[name], default="")
         if most and shares[most] >= rule.LEFT:
@@ -70,7 +70,7 @@ def changing(outcome: Outcome) -> list[Change]:
 def conditions_of(state: State) -> dict[str, Floats]:
     """Return what varies over the frames (K,) of a record, each with mean 0 and variance 1."""
     body, rows = state.body, []
-    warm = [declared_numbers(part.run.temperature, len(part.run.t)) for part in body.parts]
+    warm = [declared(part.run.temperature, len(part.run.t)) for part in body.parts]
     known = all(row is not None and np.ptp(row) >= WARMED for row in warm)
     for part, commands, temperature in zip(body.parts, state.commands, warm):
         t, seen = np.asarray(part.run.t, float), np.asarray(part.t_seen, float)
@@ -90,7 +90,7 @@ def conditions_of(state: State) -> dict[str, Floats]:
 def _fall(state: State, effects: tuple[str, ...], condition: Floats) -> float:
     """Return by how much the held-out loss is seen to fall if the numbers of effects change with a condition (K,)."""
     body, fit = state.body, state.fit
-    own = [i for i, label in enumerate(fit.space.free_labels) if label.split(".")[0] in effects]
+    own = np.flatnonzero(fit.space.of(effects))
     level = body.level()
     names, ridges = state.blocks(level)
     each = np.ascontiguousarray(np.tile(condition, (len(own), 1)))

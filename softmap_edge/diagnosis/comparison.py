@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.diagnosis.conditions import Cell, cells, conditions
+from softmap_edge.diagnosis.findings import Bin
 from softmap_edge.diagnosis.floor import BOUND, commanded, memoryless_floor, noise_floor, rms
 from softmap_edge.errors import ComparisonError
 from softmap_edge.run import Run, known
@@ -30,21 +31,6 @@ Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 SCHEMA = "softmap.comparison/1"
-
-
-@dataclass(frozen=True)
-class Bin:
-    """One class of a condition: its name, bounds (or None), number of frames and RMS error in mm."""
-
-    label: str
-    low: float | None
-    high: float | None
-    n: int
-    rms_mm: float
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the bin as `{label, low, high, n, rms_mm}`."""
-        return dict(label=self.label, low=self.low, high=self.high, n=self.n, rms_mm=self.rms_mm)
 
 
 @dataclass(frozen=True)
@@ -103,7 +89,7 @@ class Comparison:
             "error": {key: value if math.isfinite(value) else None for key, value in self.error.items()},
             "noise_floor_mm": self.noise_floor_mm,
             "memoryless_floor": None if self.memoryless is None else self.memoryless.to_dict(),
-            "where": {name: [row.to_dict() for row in rows] for name, rows in self.where.items()},
+            "where": {name: [asdict(row) for row in rows] for name, rows in self.where.items()},
             "worst": self.worst,
             "made_from": self.made_from,
         }

@@ -16,19 +16,15 @@ from softmap_edge.diagnosis import decision as rule
 from softmap_edge.diagnosis.certificate import Certified
 from softmap_edge.diagnosis.changing import Change, changing
 from softmap_edge.diagnosis.collinear import collinear_conditions
-from softmap_edge.diagnosis.conditions import cells
 from softmap_edge.diagnosis.evidence import (
-    at_bound,
+    by_condition,
     equivalents,
-    experiment,
     ladder,
-    ladder_on,
     leftover,
     not_testable,
 )
 from softmap_edge.diagnosis.findings import (
     Alternative,
-    Bin,
     Certificate,
     Displacement,
     ErrorLadder,
@@ -36,12 +32,12 @@ from softmap_edge.diagnosis.findings import (
     Finding,
     NextBlock,
     Number,
-    Refitted,
     Untestable,
     Where,
 )
 from softmap_edge.diagnosis.fit import Fit
 from softmap_edge.diagnosis.fits import Fits
+from softmap_edge.diagnosis.fitted import parameters, refitted, shift_on
 from softmap_edge.diagnosis.masked import Masked
 from softmap_edge.diagnosis.memoryless import repeats_of
 from softmap_edge.diagnosis.motion_at_rest import MotionAtRest
@@ -49,8 +45,7 @@ from softmap_edge.diagnosis.noise import motion_left
 from softmap_edge.diagnosis.outcome import Outcome, Step
 from softmap_edge.diagnosis.prepare import load_seen
 from softmap_edge.diagnosis.record import Record
-from softmap_edge.diagnosis.separate import separating
-from softmap_edge.diagnosis.spools import RADIUS
+from softmap_edge.diagnosis.separate import mended, next_blocks, refits
 from softmap_edge.diagnosis.wording import OwnMisfit, at_bounds, sentence_of, unconfirmed, verdict_of
 from softmap_edge.folds import labelled
 from softmap_edge.own_effect import hashes
@@ -91,20 +86,16 @@ def conclude(outcome: Outcome, fit: Fit, context: Context) -> dict[str, Any]:
     if record.remapped:  # the map that is solved again cancels parts of what stands in for a family
         ways = (residual, residual - outcome.state.ordinary, record.seen - fit.predicted)
         residual = min(ways, key=record.rms_mm)
-    left = leftover(problem, residual, len(fit.x))
+    left = replace(leftover(problem, residual, len(fit.x)), ordinary_mm=outcome.body.ordinary_mm or None)
     behind = [] if context.masked is None else context.masked.untestable(registry)
     hidden = [*behind, *context.impossible]
     hidden += [h for h in not_testable(fits, fit, registry) if h.name not in {b.name for b in hidden}]
-    unknown = any(s.answer.law is None or (s.answer.rough and not s.answer.open) for s in standing)
     dropped = outcome.steps if not standing and context.other is None else []  # all that was found
-    unknown = unknown or _left(outcome, standing) or bool(dropped)
-    if context.own is not None and context.own.after_mm <= fits.held_out_mm(fit):
-        unknown = False  # other numbers of the model's own effects explain what is left
     moving = problem.noise.moving
     if moving and order:  # what settles late moves at rest too, until it is explained
         moving = motion_left(residual, record.seen, record.positions, record.t_seen, record.state).found
     changes = [one for one in changing(outcome) if not set(one.effects) & set(context.demoted)]
-    unknown = unknown or bool(moving or changes)
+    unknown = bool(moving or changes) or _unknown(outcome, fit, context.own, standing, bool(dropped))
     findings = [_finding(outcome, fit, name, context, alternatives, unknown, registry) for name in order]
     faults = tuple(f for f in findings if registry[f.name]["kind"] == "fault")
     physics = tuple(f for f in findings if registry[f.name]["kind"] != "fault")
@@ -114,7 +105,7 @@ def conclude(outcome: Outcome, fit: Fit, context: Context) -> dict[str, Any]:
     if unknown and not families:
         hints = _memoryless(record, residual)
         if (near := outcome.hint) is not None:
-            share = 1.0 - float(near.loss.sum() / max(float(outcome.null.sum()), 1e-300))
+            share = 1.0 - near.left / max(float(outcome.null.sum()), 1e-300)
             hints.append(FamilyFinding(near.family.name, near.family.kind, "unknown", (), share, near.moved_mm))
         families = tuple(sorted(hints, key=lambda one: -one.share)[:1])
     doubts = [*([str(context.own)] if context.own else []), *at_bounds(findings), *record.doubts, *map(str, changes)]
@@ -140,14 +131,14 @@ def conclude(outcome: Outcome, fit: Fit, context: Context) -> dict[str, Any]:
         "families": _with_motion(families, moving),
         "alternatives": tuple(alternatives),
         "not_testable": tuple(hidden),
-        "where": Where(_where(record, record.seen - fits.null.predicted), _where(record, residual)),
+        "where": Where(by_condition(record, record.seen - fits.null.predicted), by_condition(record, residual)),
         "error": error,
         "unexplained": left,
         "next": (
-            *_mended(faults),
-            *_refit(context.own),
+            *mended(faults),
+            *refits(context.own),
             *(NextBlock(*one.experiment, one.effects) for one in changes),
-            *_next(alternatives, hidden, registry, order, families),
+            *next_blocks(alternatives, hidden, registry, order, families),
         ),
         "made_from": _made_from(outcome, order, context, registry),
     }
@@ -163,20 +154,24 @@ def _order(fits: Fits, fit: Fit, registry: Registry) -> list[str]:
     return sorted(fit.effects, key=lambda e: (registry[e]["kind"] != "fault", -weight[e], e))
 
 
-def _left(outcome: Outcome, standing: Sequence[Step]) -> bool:
-    """Whether something unknown is left: beyond the named effects, or far more than the model's own error."""
+def _unknown(outcome: Outcome, fit: Fit, own: OwnMisfit | None, standing: Sequence[Step], dropped: bool) -> bool:
+    """Whether something unknown is left: no law, beyond the named effects, or far more than the model's own error."""
+    if own is not None and own.after_mm <= outcome.fits.held_out_mm(fit):
+        return False  # other numbers of the model's own effects explain what is left
+    if dropped or any(s.answer.law is None or (s.answer.rough and not s.answer.open) for s in standing):
+        return True
     if standing:
         return outcome.left > rule.LEFT
     problem, record = outcome.body.problem, outcome.body.record
-    own = max(record.form_mm, problem.noise.rms_mm(record.positions))
-    return record.rms_mm(outcome.state.residual - outcome.state.ordinary) > rule.UNKNOWN_TIMES * own
+    floor = max(record.form_mm, problem.noise.rms_mm(record.positions))
+    return record.rms_mm(outcome.state.residual - outcome.state.ordinary) > rule.UNKNOWN_TIMES * floor
 
 
 def _family(outcome: Outcome, step: Step, proof: Certified | None, changes: Sequence[Change]) -> FamilyFinding:
     """Return what was found of one family."""
     answer, null = step.answer, float(outcome.null.sum())
     explained = max(null - float(outcome.loss.sum()), 1e-300)
-    own = float(answer.before.sum() - answer.representative.loss.sum())
+    own = float(answer.before.sum()) - answer.representative.left
     laws = [law for law in answer.tried if law.effects]
     best = min((law.left for law in laws), default=None)
     named = [answer.law] if answer.law is not None else []
@@ -242,7 +237,7 @@ def _finding(
         params=numbers,
         displacement_mm=Displacement(
             record.rms_mm(fits.displacement(fit, name)),
-            None if other is None else other.rms_mm(_shift_on(fit, other, name)),
+            None if other is None else other.rms_mm(shift_on(fit, other, name)),
         ),
         share=max(fits.share(fit, name), 0.0) / max(total, 1e-300),
         probability=None
@@ -270,66 +265,6 @@ def _probability(
     return 1.0 / (1.0 + odds)
 
 
-def refitted(fits: Fits, fit: Fit, sigma: Floats, name: str) -> Refitted | None:
-    """Return the changes of the prior's own numbers that were fitted along with an effect, and what it errs by then.
-
-    The second is the error (F,) mm of each feature on blocks that trained nothing: with other numbers it is another
-    model, and the noise that a rod's next diagnosis counts with.
-    """
-    problem, record = fits.problem, fits.problem.record
-    changes = parameters(record, fit, sigma, (name,), declared=False)
-    if not changes:
-        return None
-    squares = np.full_like(record.seen, np.nan)
-    for prediction, (_, test) in zip(fits.losses(fit)[2], problem.folds):
-        squares[test] = (record.seen[test] - prediction[test]) ** 2
-    error = np.sqrt(np.nanmean(squares, axis=0))
-    if record.replay is not None:  # what is missed on the reference too is still missed
-        own = [np.ravel(part.model.run_form_error(part.run)) for part in getattr(record, "parts", [record])]
-        error = np.maximum(error, np.sqrt(np.mean(np.square(own), axis=0)))
-    return Refitted(changes, tuple(map(float, error)))
-
-
-def _shift_on(fit: Fit, other: Record, name: str) -> Floats:
-    """Return what one effect does on another run (K, F) mm, the others in place."""
-    layout = other.layout(fit.space.names, fit.space.split)
-    params = layout.values(fit.params)
-    mine = np.array([label.split(".")[0] == name for label in layout.labels])
-    both = np.stack([params, np.where(mine, layout.null, params)])
-    shift = other.predict(fit.space.names, layout.full(both))
-    return np.asarray(shift[0] - shift[1])
-
-
-def parameters(
-    record: Record, fit: Fit, sigma: Floats, names: Sequence[str], declared: bool = True
-) -> dict[str, Number]:
-    """Return the fitted parameters of the effects `names` by label.
-
-    Those that the effects declare, or the numbers of the prior that were open with them. A number that stands for a
-    case has its `meaning` in words.
-    """
-    values, bound = fit.space.values(fit.x), at_bound(fit)
-    in_commands = {e["name"] for e in record.library.effects() if e["role"] == "channel"}
-    found = {}
-    for j, i in enumerate(fit.space.free):
-        label, unit = fit.space.labels[i], fit.space.units[i]
-        if label.split(".")[0] not in names or fit.space.declared[j] != declared:
-            continue
-        if unit == "g" and not getattr(record.model, "stiffness_known", True):
-            unit = "of the model's own load scale"  # grams would be a claim without ground
-        if label.split(".")[0] in in_commands:
-            unit = unit.replace("mm", getattr(record.model, "command_unit", "mm"))
-        meaning = None
-        if fit.space.integer[j]:
-            chain = record.library.Chain([label.split(".")[0]], record.model.channels)
-            meaning = dict(zip(chain.labels, chain.meanings([fit.params[own] for own in chain.labels])))[label] or None
-        found[label] = Number(float(values[j]), float(sigma[j]), unit, bool(bound[j]), meaning)
-    if declared and record.spool is not None and RADIUS in fit.space.labels and RADIUS.split(".")[0] in names:
-        unit = getattr(record.model, "command_unit", "mm")
-        found[RADIUS] = Number(fit.params[RADIUS], record.spool.sigma, unit, False, None)
-    return found
-
-
 def _alternatives(
     outcome: Outcome, fit: Fit, standing: Sequence[Step], registry: Registry, context: Context
 ) -> list[Alternative]:
@@ -350,12 +285,10 @@ def _alternatives(
         for law in step.answer.equals:
             add(Alternative((*rest, *law.effects), _why(law.loss, step.answer.loss), member, step.family.name))
         for other in step.others:
+            why, effects = f"the family {other.family.name} cannot be distinguished from {step.family.name} here", rest
             if other.resolved and other.law is not None:
-                add(Alternative((*rest, *other.law.effects), _why(other.law.loss, step.answer.loss), member,
-                                other.family.name))  # fmt: skip
-            else:
-                why = f"the family {other.family.name} cannot be distinguished from {step.family.name} here"
-                add(Alternative(tuple(rest), why, member, other.family.name))
+                why, effects = _why(other.law.loss, step.answer.loss), [*rest, *other.law.effects]
+            add(Alternative(tuple(effects), why, member, other.family.name))
     for step, family, why in _confounded(outcome, standing):
         named = _named(step)
         add(Alternative(tuple(e for e in fit.effects if e not in named), why, named[0] if named else "", family))
@@ -417,10 +350,9 @@ def _error(outcome: Outcome, order: Sequence[str], other: Record | None) -> Erro
     problem, fits = outcome.body.problem, outcome.plain
     record = problem.record
     split = outcome.fit.space.split
-    found = ladder(fits, order, split) if other is None else ladder_on(fits, other, order, split)
-    model, static, rungs, both, per_fold = found
+    model, static, rungs, both, per_fold = ladder(fits, order, split, other)
     noise, form = problem.noise.rms_mm(record.positions), record.form_mm
-    measured = record.model.kind != "rod"
+    measured = not record.error_is_noise
     replicates = measured and problem.noise.replicates
     kind = "labelled blocks" if labelled(record.block) else "blocks"
     on = f"{kind} of the run that was fitted" if other is None else "an independent run"
@@ -432,76 +364,6 @@ def _error(outcome: Outcome, order: Sequence[str], other: Record | None) -> Erro
         floor_kind="noise of replicates" if replicates else "the model's own held-out error",
         held_out_on=on + ("" if record.replay is None else ", relative to the reference"),
     )  # fmt: skip
-
-
-def _where(record: Record, residual: Floats) -> dict[str, tuple[Bin, ...]]:
-    """Return the measured error by section and by condition, where any is seen."""
-    squares = record.squares(residual)  # (K, places)
-
-    def row(label: str, low: float | None, high: float | None, n: int, values: Floats) -> list[Bin]:
-        good = values[np.isfinite(values)]
-        return [Bin(label, low, high, n, float(np.sqrt(good.mean())))] if len(good) else []
-
-    sections = record.section[record.positions]
-    found = {
-        "section": tuple(
-            b for i, s in enumerate(sections) for b in row(str(int(s)), None, None, len(record), squares[:, i])
-        )
-    }
-    for name, cell_row in cells(record.state, getattr(record.model, "command_unit", "mm")).items():
-        bins = [b for c in cell_row for b in row(c.label, c.low, c.high, int(c.frames.sum()), squares[c.frames])]
-        found[name] = tuple(bins)
-    return found
-
-
-def _mended(faults: Sequence[Finding]) -> list[NextBlock]:
-    """Return what is put right by hand before anything is recorded."""
-    block = "put it right, plugs or columns and signs of the mapping, and diagnose again: {}"
-    cases = {f.name: p.meaning for f in faults for p in f.params.values() if p.meaning}
-    return [NextBlock(block.format(case), 2.0, (name,)) for name, case in cases.items()]
-
-
-def _refit(own: OwnMisfit | None) -> list[NextBlock]:
-    """Return what to do first where the model's own effects do not fit."""
-    return [] if own is None else [NextBlock("`softmap refit` on this run, then diagnose again", 0.0, own.names)]
-
-
-def _next(
-    alternatives: Sequence[Alternative],
-    hidden: Sequence[Untestable],
-    registry: Registry,
-    named: Sequence[str],
-    families: Sequence[FamilyFinding] = (),
-) -> list[NextBlock]:
-    """Return the blocks that would settle what is open: between families first, then between laws.
-
-    The separation is simulated by `softmap next`.
-    """
-    blocks: dict[str, tuple[float, list[str]]] = {}
-
-    def add(block: str, minutes: float, names: Sequence[str]) -> None:
-        settles = blocks.setdefault(block, (minutes, []))[1]
-        settles += [n for n in dict.fromkeys(names) if n and n not in settles]
-
-    for pair in _near_families(families, alternatives):
-        if (block := separating(*pair)) is not None:
-            add(*block, pair)
-    for one in alternatives:
-        other = next((e for e in one.effects if e not in named), one.member)
-        asked = one.member or other
-        if asked in registry:
-            add(*experiment(registry, asked), (one.member, other))
-    for item in hidden:
-        add(item.experiment, item.minutes, (item.name,))
-    return [NextBlock(block, minutes, tuple(settles)) for block, (minutes, settles) in blocks.items()]
-
-
-def _near_families(families: Sequence[FamilyFinding], alternatives: Sequence[Alternative]) -> list[tuple[str, str]]:
-    """Return each family that was detected with each that cannot be distinguished from it."""
-    own = {effect: family.name for family in families for effect in family.effects}
-    pairs = [(family.name, other) for family in families for other in family.alternatives]
-    pairs += [(own[one.member], one.family) for one in alternatives if one.family and one.member in own]
-    return [pair for pair in dict.fromkeys(pairs) if pair[0] != pair[1]]
 
 
 def _made_from(outcome: Outcome, order: Sequence[str], context: Context, registry: Registry) -> dict[str, Any]:

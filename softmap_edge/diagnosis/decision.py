@@ -15,21 +15,29 @@ Floats = NDArray[np.float64]
 
 FORM = 0.05  # of the explained loss: what the form of a law may be off (0.22 of its amplitude, squared)
 FORM_MOST = 0.15  # the same for a static law, which need not explain ordinary imperfections
-FALL = 0.03  # least relative fall of the held-out loss for a family
+# Relative fall of the held-out loss that counts: for a family to be fitted, accepted or linearised once more, for a
+# law to beat its equals, and for numbers that change with a condition.
+FALL = 0.03
 FALL_FIRST, FALL_NEXT = 0.2, 0.3  # of the loss above the noise: least fall of the first family and of later ones
-FOLDS = 0.6  # of the folds that show a family: in so many its loss must fall
+FOLDS = 0.6  # share of the folds in which the loss must fall, of those that show the family
 FOLD_SHOWS = 0.1  # of the mean change of a fold's loss: a fold that changes by less shows nothing
 AGREE = 0.85  # share of the folds that must agree before a difference within one standard error counts
-ABOVE_NOISE = 1.3  # times the number of whitened numbers: noise alone rarely exceeds it
-VISIBLE_MM = 0.12  # least displacement of the centreline
-ORDINARY = 0.04  # of the motion (RMS): what imperfections of an ordinary robot amount to at most
-DOMINATES = 2.0  # times as much as all else of its kind: what a static effect, or a free static shape, must amount to
-SCATTER = 2.0  # standard errors of a learned map's model error: what a new static effect must exceed too
+ABOVE_NOISE = 1.3  # limit of the loss per whitened number: noise alone rarely exceeds it
+VISIBLE_MM = 0.12  # least effect size, mm RMS of the centreline
+ORDINARY = 0.04  # of the motion (RMS): upper limit of ordinary imperfections
+# Times as much as the rest: a static effect beyond ordinary imperfections, or against the model error of a learned map;
+# a free static shape that is taken before other families; a law that is still asked for after three families.
+DOMINATES = 2.0
+SCATTER = 2.0  # standard errors of a learned map's model error, which a new static effect must exceed too
 MIMIC = 0.9  # R² of a family's effect on the columns of others, from which it adds nothing to them
-LEFT = 0.1  # unexplained share of the loss, or of the mean square, above which an unknown effect is reported
+# Unexplained share of the loss, or of the mean square: above it an unknown effect is reported, and a few laws at once
+# are tried in place of one family after the other. Also the share of what a law explains from which its numbers change.
+LEFT = 0.1
 UNKNOWN_TIMES = 2.5  # times model error or noise: unexplained error at which a family counts that was not accepted
 MISWIRED = 0.2  # of the motion: servos are exchanged only where the model is off by so much
-STANDS_FOR = 0.6  # of what a member explains: an effect of the same form that explains less is no alternative
+# Share that must be explained: of what its family does, by a law that is only a candidate; of what a member does, by an
+# effect of the same form that is its alternative.
+STANDS_FOR = 0.6
 ODDS_BASE = 0.03  # odds against every name
 ODDS_DOUBT = 0.5  # the same for each alternative, for a number at its bound, and for an unknown effect alongside
 
@@ -82,8 +90,9 @@ def leaves_cause(loss: Floats, best: Floats, numbers: float) -> bool:
     return bool(loss.sum() > ABOVE_NOISE * best.sum()) and clears(best, loss, numbers)
 
 
-def reaches(loss: Floats, best: Floats, explained: float, form: float = FORM) -> bool:
+def reaches(loss: Floats, best: Floats, explained: float, form: float | None = None) -> bool:
     """Whether a law leaves no more than the best of its family, up to one standard error or its form's tolerance."""
+    form = FORM if form is None else form
     return float(loss.sum() - best.sum()) <= max(difference(loss, best).error, form * explained)
 
 

@@ -125,7 +125,7 @@ def _left(record: Record, runs: list[Run]) -> float:
     own, names = record.model.chain_names, tuple(dict.fromkeys((*record.model.chain_names, "payload")))
     off = other.seen - other.predict(own, other.own()[None])[0]
     layout = other.layout(names)
-    params = dict(zip(layout.labels, layout.start)) | dict(zip(other.layout(own).labels, map(float, other.own())))
+    params = dict(zip(layout.labels, layout.start)) | other.own_values()
     moved = other.seen - other.predict(names, layout.values(params)[None])[0]
     shift = np.nan_to_num(off - moved)
     share = max(0.0, float(np.sum(np.nan_to_num(off) * shift)) / max(float(np.sum(shift**2)), 1e-12))

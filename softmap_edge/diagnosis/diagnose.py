@@ -1,11 +1,11 @@
 """Diagnose: name the physical effect that a model lacks, with evidence, alternatives and the error before and after.
 
-    features → noise and form error → whitened search over effects → acceptance on held-out blocks
-             → certificate from withheld blocks → verdict
+    run → frames that are measurements (sound.py) → candidates, noise, model error (prepare.py)
+        → families, then their laws, accepted on held-out blocks (search.py, together.py)
+        → certificates from withheld blocks (certificate.py) → findings, alternatives, verdict (conclusion.py)
 
-The verdict is one of identified, ambiguous, partly_explained, nothing, cannot_tell, measurement_fault; silence and
-doubt are answers. `diagnose` is deterministic: the same input gives the same document. Method: the files
-`noise.py`, `fit.py`, `search.py`, `evidence.py`, `certificate.py`, `conclusion.py`. Pinned by tests/test_diagnosis.py.
+The verdict is one of identified, ambiguous, partly_explained, nothing, cannot_tell, measurement_fault. `diagnose` is
+deterministic: the same input gives the same document. Pinned by tests/test_diagnosis.py.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from softmap_edge.diagnosis.acceptance import motion_mm
 from softmap_edge.diagnosis.advice import asked
 from softmap_edge.diagnosis.base_motion import excluded
 from softmap_edge.diagnosis.certificate import certified
-from softmap_edge.diagnosis.conclusion import Context, conclude, parameters
+from softmap_edge.diagnosis.conclusion import Context, conclude
 from softmap_edge.diagnosis.decision import ORDINARY, VISIBLE_MM
 from softmap_edge.diagnosis.declared import strange, wrong_load, wrong_sign
 from softmap_edge.diagnosis.document import Diagnosis, with_error
@@ -29,6 +29,7 @@ from softmap_edge.diagnosis.evidence import equivalents, experiment, shown, unse
 from softmap_edge.diagnosis.findings import plain
 from softmap_edge.diagnosis.fit import Fit, Problem
 from softmap_edge.diagnosis.fits import Fits
+from softmap_edge.diagnosis.fitted import parameters
 from softmap_edge.diagnosis.masked import masked
 from softmap_edge.diagnosis.outcome import Outcome
 from softmap_edge.diagnosis.prepare import candidates_of, problem_of
@@ -54,8 +55,8 @@ UNSAID = 0.05  # share of the frames that may lie outside what a model was made 
 OWN_FALL = 0.7  # fall of the held-out error by a refit from which the model's own numbers are in doubt
 ALIKE = 0.95  # cosine between two whitened signatures from which their form does not distinguish them
 TWICE = (
-    "it is diagnosed relative to a reference run: what is recorded next has to be recorded twice, as this run was and "
-    "as the reference was, and the second given with --reference"
+    "the diagnosis is relative to a reference run: record each next block twice, once under the conditions of this run "
+    "and once under those of the reference, and give the second with --reference"
 )
 
 
@@ -161,7 +162,7 @@ def _apart(run: Run | Sequence[Run], held_out: Run | None, reference: Run | Sequ
     if len(set(hashes)) < len(hashes):
         raise SoftmapError("the same run is given twice, and its noise would count as half; give each recording once")
     if held_out is not None and held_out.hash() in hashes:
-        raise SoftmapError("the held-out run is one that is fitted, so it judges nothing; give an independent run")
+        raise SoftmapError("the held-out run is fitted too, so it validates nothing; give an independent run")
     if set(hashes) & {one.hash() for one in others}:
         raise SoftmapError("the reference is the run itself, so nothing differs; give a recording of before the change")
 
@@ -210,7 +211,8 @@ def showing(model: Model, run: Run, library: Any = None) -> list[dict[str, Any]]
     problem = problem_of(record, candidates)
     seen = {name: shown(problem, name) for name in candidates}
     size = {name: float(np.linalg.norm(white)) for name, (_, white) in seen.items()}
-    found = {h.name: _showing(h.name, False, None, None, h.why, [], (h.experiment, h.minutes)) for h in impossible}
+    keys = ("name", "shows", "moved_mm", "deviations", "why", "alike", "experiment", "minutes")
+    rows: list[tuple[Any, ...]] = [(h.name, False, None, None, h.why, [], h.experiment, h.minutes) for h in impossible]
     for name, (moved, white) in seen.items():
         why = unseen(moved, size[name])
         twins = equivalents(record, name, registry)
@@ -218,7 +220,8 @@ def showing(model: Model, run: Run, library: Any = None) -> list[dict[str, Any]]
             product = size[name] * size[other]
             if other != name and product > 0 and abs(float(white @ seen[other][1])) > ALIKE * product:
                 twins += [other] if other not in twins else []
-        found[name] = _showing(name, why is None, moved, size[name], why, twins, experiment(registry, name))
+        rows.append((name, why is None, moved, size[name], why, twins, *experiment(registry, name)))
+    found = {row[0]: dict(zip(keys, row)) for row in rows}
     return [found[name] for name in registry if name in found]
 
 
@@ -230,7 +233,7 @@ def _searched(
     What a residual had learned is an effect if laws of the library explain it. Only if they do not may it be the
     model's own error. A map that was learned with --static is solved again, if a law of memory then explains the run.
     """
-    if record.static is not None and record.model.kind != "rod":
+    if record.static is not None and not record.error_is_noise:
         problem = problem_of(record, candidates, residual=False)
         outcome = search(problem, candidates, progress)
         if outcome.steps and not outcome.open:
@@ -243,21 +246,6 @@ def _searched(
         record.remapped = False
         outcome = search(problem, candidates, progress)
     return problem, outcome
-
-
-def _showing(
-    name: str,
-    shows: bool,
-    moved: float | None,
-    size: float | None,
-    why: str | None,
-    alike: list[str],
-    recorded: tuple[str, float],
-) -> dict[str, Any]:
-    block, minutes = recorded
-    return dict(
-        name=name, shows=shows, moved_mm=moved, deviations=size, why=why, alike=alike, experiment=block, minutes=minutes
-    )
 
 
 def _shared(fit: Fit) -> dict[str, float]:
@@ -278,9 +266,7 @@ def _validation(model: Model, held_out: Run, library: Any, reference: Run | Sequ
     except SoftmapError as fault:
         if reference is None:
             raise
-        raise SoftmapError(
-            f"the held-out run is judged relative to a reference too: {fault}; or leave --held-out out"
-        ) from None
+        raise SoftmapError(f"the held-out run needs a reference too: {fault}; or leave --held-out out") from None
 
 
 def _outside(record: Record) -> str:
@@ -293,7 +279,7 @@ def _outside(record: Record) -> str:
     beyond = np.any((record.command < low - slack) | (record.command > high + slack), axis=1).mean()
     if beyond < UNSAID:
         return ""
-    return f" {100 * beyond:.0f} % of the frames lie beyond the commands that the model was made from: a guess there."
+    return f" {100 * beyond:.0f} % of the frames lie beyond the commands that made the model; it extrapolates there."
 
 
 def _own_misfit(record: Record) -> OwnMisfit | None:

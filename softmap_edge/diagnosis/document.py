@@ -44,7 +44,7 @@ VERDICTS = {
     "ambiguous": "ambiguous: more than one explanation fits",
     "partly_explained": "partly explained: an unknown error remains",
     "nothing": "nothing above the floor",
-    "cannot_tell": "these data cannot tell",
+    "cannot_tell": "inconclusive: these data cannot show all effects",
     "measurement_fault": "measurement fault",
 }
 

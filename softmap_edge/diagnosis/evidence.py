@@ -16,9 +16,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from softmap_edge.diagnosis.conditions import last_direction, orientations
+from softmap_edge.diagnosis.conditions import cells, last_direction, orientations
 from softmap_edge.diagnosis.decision import VISIBLE_MM
-from softmap_edge.diagnosis.findings import Rung, Unexplained, Untestable
+from softmap_edge.diagnosis.findings import Bin, Rung, Unexplained, Untestable
 from softmap_edge.diagnosis.fit import Fit, Problem
 from softmap_edge.diagnosis.fits import Fits
 from softmap_edge.diagnosis.noise import scaled_commands
@@ -35,7 +35,7 @@ Errors = tuple[float, float, tuple[Rung, ...], float, tuple[float, ...]]
 
 
 def equivalents(record: Record, name: str, registry: Mapping[str, dict[str, Any]]) -> list[str]:
-    """Return the effects of the registry, tried or not, that this run cannot tell from `name` by their form."""
+    """Return the effects of the registry, tried or not, whose form this run cannot distinguish from that of `name`."""
     resolved = {
         "orientation": orientations(record.state.gravity) > 1,
         "load": record.load is not None and float(np.ptp(record.load)) > 0,
@@ -205,25 +205,54 @@ def _blocked_r2(problem: Problem, columns: Floats, values: Floats) -> float:
     return float(1.0 - np.sum((values - predicted) ** 2) / max(float(np.sum(values**2)), 1e-300))
 
 
+def by_condition(record: Record, residual: Floats) -> dict[str, tuple[Bin, ...]]:
+    """Return an error (K, F) mm by section and by condition, where any is seen."""
+    squares = record.squares(residual)  # (K, places)
+
+    def row(label: str, low: float | None, high: float | None, n: int, values: Floats) -> list[Bin]:
+        good = values[np.isfinite(values)]
+        return [Bin(label, low, high, n, float(np.sqrt(good.mean())))] if len(good) else []
+
+    sections = record.section[record.positions]
+    found = {
+        "section": tuple(
+            b for i, s in enumerate(sections) for b in row(str(int(s)), None, None, len(record), squares[:, i])
+        )
+    }
+    for name, cell_row in cells(record.state, getattr(record.model, "command_unit", "mm")).items():
+        bins = [b for c in cell_row for b in row(c.label, c.low, c.high, int(c.frames.sum()), squares[c.frames])]
+        found[name] = tuple(bins)
+    return found
+
+
 # --- the ladder ---------------------------------------------------------------------------------
 
 
-def ladder(fits: Fits, order: Sequence[str], split: Collection[str]) -> Errors:
-    """Return held-out errors in mm on blocks: model, static baseline, effects one by one, with both; per fold."""
+def ladder(fits: Fits, order: Sequence[str], split: Collection[str], other: Record | None = None) -> Errors:
+    """Return held-out errors in mm: model, static baseline, effects one by one, with both; per fold.
+
+    They are those of blocks, or of an independent run `other` with parameters and static residual of the diagnosed run.
+    """
     problem, record = fits.problem, fits.problem.record
-    steps = [fits.get(order[: i + 1], split) for i in range(len(order))]
-    last = fits.losses(steps[-1] if steps else fits.null)[2]
-    null = fits.losses(fits.null)[2]
-    return (
-        _held_out(problem, null),
-        _held_out(problem, null, static=True),
-        tuple(Rung(e, _held_out(problem, fits.losses(f)[2])) for e, f in zip(order, steps)),
-        _held_out(problem, last, static=True),
-        tuple(record.rms_mm(record.seen - p, t) for p, (_, t) in zip(last, problem.folds)),
-    )
+    steps = [fits.null, *(fits.get(order[: i + 1], split) for i in range(len(order)))]
+    per_fold: tuple[float, ...] = ()
+    if other is None:
+        predictions = fits.losses(steps[-1])[1]
+        per_fold = tuple(record.rms_mm(record.seen - p, t) for p, (_, t) in zip(predictions, problem.folds))
+
+    def error(fit: Fit, static: bool = False) -> float:
+        if other is None:
+            return _held_out(problem, fits.losses(fit)[1], static)
+        residual = other.seen - fit.on(other)
+        if static:
+            residual = residual - _static(record, other, record.seen - fit.predicted, np.arange(len(record)))
+        return other.rms_mm(residual)
+
+    rungs = tuple(Rung(e, error(f)) for e, f in zip(order, steps[1:]))
+    return error(fits.null), error(fits.null, True), rungs, error(steps[-1], True), per_fold
 
 
-def _held_out(problem: Problem, predictions: Floats, static: bool = False) -> float:
+def _held_out(problem: Problem, predictions: Floats, static: bool) -> float:
     record = problem.record
     squares = []
     for prediction, (train, test) in zip(predictions, problem.folds):
@@ -232,27 +261,6 @@ def _held_out(problem: Problem, predictions: Floats, static: bool = False) -> fl
             residual = residual - _static(record, record, residual, train)
         squares.append(record.squares(residual)[test].ravel())
     return float(np.sqrt(np.nanmean(np.concatenate(squares))))
-
-
-def ladder_on(fits: Fits, other: Record, order: Sequence[str], split: Collection[str]) -> Errors:
-    """Return the same errors on an independent run; parameters and static residual come from the diagnosed run."""
-    record = fits.problem.record
-    every = np.arange(len(record))
-
-    def error(fit: Fit, static: bool = False) -> float:
-        residual = other.seen - fit.on(other)
-        if static:
-            residual = residual - _static(record, other, record.seen - fit.predicted, every)
-        return other.rms_mm(residual)
-
-    steps = [fits.get(order[: i + 1], split) for i in range(len(order))]
-    return (
-        error(fits.null),
-        error(fits.null, static=True),
-        tuple(Rung(e, error(f)) for e, f in zip(order, steps)),
-        error(steps[-1] if steps else fits.null, static=True),
-        (),
-    )
 
 
 def _static(record: Record, at: Record, residual: Floats, train: NDArray[np.int64]) -> Floats:

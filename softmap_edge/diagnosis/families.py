@@ -11,13 +11,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cache, cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge import _core
-from softmap_edge.diagnosis.decision import FALL
+from softmap_edge.diagnosis import decision as rule
 from softmap_edge.diagnosis.fit import Fit, Problem
 from softmap_edge.diagnosis.record import SLOPE, Record
 
@@ -29,7 +29,6 @@ WARMED = 0.5  # K that a run must warm by
 REACH = 0.15  # of the range of a parameter, at which the signature of a field is taken
 FAR = 0.5  # the same of an effect on commands, whose form changes with its size
 PLACES = (0.2, 0.5, 0.8)  # of the range of a parameter that says where: signatures are taken there
-MODES = 8  # leading spatial modes of a free static shape
 AT_BOUND = 1e-6  # of the scale of a parameter
 FREE_MM = 0.9  # mm RMS of the body that one such column moves it by
 MAPPED = ("static map", "coupling")  # families that span a learned static map
@@ -40,7 +39,8 @@ LINEARISED = 6  # times at most that a representative is linearised about itself
 HALVED = 3  # times at most that it is halved, if the loss is higher with it than without it
 
 
-CURVES: dict[str, Callable[[Floats], Floats]] = {
+CURVES: dict[str, Callable[[Floats], Floats]] = {  # of a channel
+    "u": lambda x: x,
     "u²": np.square,
     "|u|": np.abs,
     "u|u|": lambda x: x * np.abs(x),
@@ -61,23 +61,36 @@ class Family:
 
     name: str
     kind: str  # what it depends on: "static", "memory", "time" or "condition"
-    doc: str
     members: tuple[str, ...]  # effects that may be its law
-    fields: tuple[str, ...]  # effects whose signatures are among its columns
-    mimics: tuple[str, ...]  # families that can look like it
-    needs: tuple[str, ...]  # what a run must declare
+    fields: tuple[str, ...] = ()  # effects whose signatures are among its columns
+    modes: int = 0  # free shapes among its columns
     experiment: tuple[str, float] = ("", 0.0)  # what separates it from families that look like it, and the minutes
 
 
+@cache
 def families() -> tuple[Family, ...]:
     """Return the families of the registry, in its order."""
     return tuple(
         Family(
-            row["name"], row["kind"], row["doc"], tuple(row["members"]), tuple(row["fields"]), tuple(row["mimics"]),
-            tuple(row["needs"]), tuple(row["experiment"]),
+            row["name"],
+            row["kind"],
+            tuple(row["members"]),
+            tuple(row["fields"]),
+            row["modes"],
+            tuple(row["experiment"]),
         )
         for row in _core.families()
-    )  # fmt: skip
+    )
+
+
+@cache
+def _homes() -> dict[str, Family]:
+    return {effect: family for family in reversed(families()) for effect in family.members}
+
+
+def home(effect: str) -> Family | None:
+    """Return the first family that an effect may be a law of; None for a gross fault and for a user's own effect."""
+    return _homes().get(effect)
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,6 +127,11 @@ class Representative:
     moved_mm: float  # RMS over the places
     settled: bool = False  # whether it is linearised about itself
 
+    @property
+    def left(self) -> float:
+        """The held-out loss of all folds."""
+        return float(self.loss.sum())
+
 
 class Body:
     """What level 1 needs of a problem: effective commands to features, and the columns of each family."""
@@ -127,7 +145,7 @@ class Body:
         self.step = np.maximum(SLOPE * self.record.spread, 1e-3)
         self.weights = np.ascontiguousarray(problem.gain * problem.whitener.project.T)
         self.own = [e["name"] for e in self.record.library.effects() if e["own"]]  # a user's, of any family
-        self.ordinary_mm = 0.0  # static imperfections of the robot, RMS
+        self.ordinary_mm = 0.0  # ordinary static imperfections of the robot, RMS, apart from what was found
         self.free_map = isinstance(getattr(self.record.model, "prior", None), _core.Rod)  # learned from logs
         self.learned = [f for f in families() if f.name in MAPPED and self.record.remapped]
         self._signatures: dict[str, Floats] = {}
@@ -143,8 +161,8 @@ class Body:
             own = np.ascontiguousarray(params[column][: len(chain.labels)])
             t = np.asarray(run.t, float)
             rows = chain.rollout(
-                own[None], np.ascontiguousarray(part.u), t, gravity=_vectors(run.gravity, len(t)),
-                load=declared_numbers(run.load, len(t)), temperature=declared_numbers(run.temperature, len(t)),
+                own[None], np.ascontiguousarray(part.u), t, gravity=declared(run.gravity, len(t), 3),
+                load=declared(run.load, len(t)), temperature=declared(run.temperature, len(t)),
             )  # fmt: skip
             out.append(np.ascontiguousarray(rows[0]))
         return out
@@ -180,14 +198,14 @@ class Body:
     @cached_property
     def _temperatures(self) -> list[Floats | None]:
         """Temperature (T,) °C of each run; None where not all of them warm: a bank scales what one run shows."""
-        rows = [declared_numbers(part.run.temperature, len(part.run.t)) for part in self.parts]
+        rows = [declared(part.run.temperature, len(part.run.t)) for part in self.parts]
         known = [row for row in rows if row is not None and np.ptp(row) >= WARMED]
         return list(known) if len(known) == len(rows) else [None] * len(rows)
 
     @cached_property
     def _orientations(self) -> tuple[NDArray[np.int64] | None, list[NDArray[np.int64] | None]]:
         """Codes of all orientations, and which of them each sample (T,) of a run is in; None where there is one."""
-        rows = [_vectors(part.run.gravity, len(part.run.t)) for part in self.parts]
+        rows = [declared(part.run.gravity, len(part.run.t), 3) for part in self.parts]
         known = [np.round(row, TURNED) for row in rows if row is not None]
         if len(known) < len(rows):
             return None, [None] * len(rows)
@@ -220,8 +238,7 @@ class Body:
         if family.name not in self._signatures:
             singles = [self.single(name) for name in family.fields if name in self.candidates]
             rows = [field for own in singles if own is not None for field in own.base]
-            if family.name == "static shape":
-                rows = self._free_shapes()
+            rows += self._free_shapes(family.modes) if family.modes else []
             self._signatures[family.name] = np.stack(rows) if rows else np.zeros((0, *self.record.seen.shape))
         return self._signatures[family.name]
 
@@ -240,17 +257,17 @@ class Body:
         seen = np.concatenate([seen_commands(p, v) for p, v in zip(self.parts, commands)])
         x, channels = (seen - self.middle) / self.half, len(self.half)
         found = {}
-        for name, curve in CURVES.items():
-            found[name] = Columns(slopes, np.arange(channels), (self.half * curve(x)).T.copy(), channels)
+        for name in [name for name in CURVES if name != "u"]:
+            found[name] = Columns(slopes, np.arange(channels), (self.half * CURVES[name](x)).T.copy(), channels)
         for name, product in PRODUCTS.items() if channels > 1 else ():
             pairs = [(c, k) for c in range(channels) for k in range(channels) if k != c]
             weight = np.stack([self.half[c] * product(x[:, c], x[:, k]) for c, k in pairs])
             found[name] = Columns(slopes, np.array([c for c, _ in pairs]), weight, len(pairs))
         return found
 
-    def _free_shapes(self) -> list[Floats]:
+    def _free_shapes(self, count: int) -> list[Floats]:
         """Return the leading spatial modes of what candidates do, as shapes that do not change."""
-        shapes = np.linalg.pinv(self.weights)[:MODES]
+        shapes = np.linalg.pinv(self.weights)[:count]
         size = [self.record.rms_mm(np.tile(s, (len(self.record), 1))) for s in shapes]
         return [np.tile(FREE_MM * s / max(mm, 1e-9), (len(self.record), 1)) for s, mm in zip(shapes, size)]
 
@@ -259,7 +276,7 @@ class Body:
         record = self.record
         own = tuple(record.model.chain_names)
         layout = record.layout((*own, name))
-        known = dict(zip(record.layout(own).labels, map(float, record.own())))
+        known = record.own_values()
         null = np.array([known.get(label, n) for label, n in zip(layout.labels, layout.null)])
         mine = [i for i, label in enumerate(layout.labels) if label.split(".")[0] == name]
         base = record.predict(layout.names, null[None])[0]
@@ -308,7 +325,7 @@ class Body:
         )
 
     def add_fit(self, level: _core.Level, name: str, fit: Fit) -> bool:
-        """Add the slopes of a fit to normal equations, of numbers that no bound holds; whether there are any."""
+        """Add the slopes of a fit over its numbers that are not at a bound; return whether there are any."""
         free = np.flatnonzero(np.minimum(fit.x - fit.space.low, fit.space.high - fit.x) > AT_BOUND)
         if len(free):
             ones = np.ones((len(free), len(self.record)))
@@ -326,10 +343,14 @@ class State:
         beside: Sequence[Representative] = (),
         background: Sequence[Family] = (),
     ) -> None:
-        """Say what is known; families in `background` explain ordinary imperfections, which are not named.
+        """Set what is known.
 
-        Where the static map was learned from data with memory, the memory has bent it. Then its families stand in the
-        background throughout, so that the map is solved again with every law.
+        Args:
+            body: the problem at level 1.
+            fit: the laws that were found, fitted together.
+            beside: representatives of families without a law.
+            background: families that explain ordinary imperfections, which are not named. Where the static map was
+                learned from data with memory, its families are always among them, because the memory has bent it.
         """
         self.body, self.fit, self.beside = body, fit, tuple(beside)
         self.background = tuple(dict.fromkeys((*background, *body.learned)))
@@ -462,7 +483,7 @@ def about_itself(
         level.close(np.ascontiguousarray(body.modes(state.residual - moved + about.shift(theta))))
         every, strengths = [*names, "about itself"], [*ridges, ridge]
         theta, loss = np.asarray(level.theta(every, strengths)[-1]), np.asarray(level.losses(every, strengths))
-        settled = loss.sum() > (1.0 - FALL) * best[1].sum()
+        settled = loss.sum() > (1.0 - rule.FALL) * best[1].sum()
         best = (theta, loss) if loss.sum() < best[1].sum() else best
         if settled:
             break
@@ -497,7 +518,7 @@ def ranked(state: State, every: Sequence[Family], taken: Sequence[Family], withi
     found = before = np.asarray(level.losses(names, ridges))
     for family in taken:
         if family in columns and f"*{family.name}" not in known:
-            if _training_gain(level, names, ridges, family.name, before) < FALL * before.sum():
+            if _training_gain(level, names, ridges, family.name, before) < rule.FALL * before.sum():
                 continue
             loss, ridge = best_ridge(level, names, ridges, family.name)
             if loss.sum() < before.sum():
@@ -506,14 +527,14 @@ def ranked(state: State, every: Sequence[Family], taken: Sequence[Family], withi
     gains = {f: _training_gain(level, names, ridges, f.name, before) for f in columns if f not in taken}
     for family in sorted(gains, key=lambda f: -gains[f]) if within else gains:
         own, loss, ridge = columns[family], before, RIDGES[-1]
-        if gains[family] >= max(FALL * before.sum(), within * gained):
+        if gains[family] >= max(rule.FALL * before.sum(), within * gained):
             loss, ridge = best_ridge(level, names, ridges, family.name)
             gained = max(gained, float(before.sum() - loss.sum()))
         theta = level.theta([*names, family.name], [*ridges, ridge])[-1]
         numbers = level.freedom([*names, family.name], [*ridges, ridge], family.name)
         shift = np.where(np.isfinite(body.record.seen), own.shift(theta), np.nan)
         rows.append(Representative(family, theta, ridge, loss, numbers, own, body.record.rms_mm(shift)))
-    rows.sort(key=lambda r: float(r.loss.sum()))
+    rows.sort(key=lambda row: row.left)
     return Ranking(level, names, ridges, found, before, rows, _static(body, level, names, ridges, rows))
 
 
@@ -561,11 +582,6 @@ def seen_commands(part: Record, commands: Floats) -> Floats:
     return np.ascontiguousarray(np.reshape(rows, (commands.shape[1], part.frames)).T)
 
 
-def declared_numbers(values: object, count: int) -> Floats | None:
-    """Return what a run declares as one number a sample (T,)."""
-    return None if values is None else np.ascontiguousarray(np.broadcast_to(np.asarray(values, float), (count,)))
-
-
-def _vectors(values: object, count: int) -> Floats | None:
-    """Return what a run declares as one vector a sample (T, 3)."""
-    return None if values is None else np.ascontiguousarray(np.broadcast_to(np.asarray(values, float), (count, 3)))
+def declared(values: object, *shape: int) -> Floats | None:
+    """Return what a run declares for each sample, in a `shape` (T,) or (T, 3); None where it declares nothing."""
+    return None if values is None else np.ascontiguousarray(np.broadcast_to(np.asarray(values, float), shape))

@@ -189,7 +189,7 @@ class Unexplained:
 
 @dataclass(frozen=True)
 class Bin:
-    """The error in one class of frames, mm RMS."""
+    """One class of a condition: its name, bounds (or None), number of frames and RMS error in mm."""
 
     label: str
     low: float | None

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from copy import copy
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -34,7 +34,7 @@ ITERATIONS = 20
 DAMPING = 1e-3  # of a Gauss-Newton step, of the curvature
 DAMPINGS = ((1.0,), (0.05, 20.0, 400.0), (8e3, 1.6e5))  # factors tried with new slopes; the next lot if none is better
 SECANTS = 3  # parameters from which slopes are carried on by secants
-LINEAR = 0.5  # of what its slopes promised a step must win for them to be carried on by one secant and not taken anew
+LINEAR = 0.5  # of the fall that its slopes predict: a step that wins less, or twice as much, needs new slopes
 
 
 class Space:
@@ -111,21 +111,14 @@ class Space:
         held.low, held.high = np.where(self.integer, x, self.low), np.where(self.integer, x, self.high)
         return held
 
-    def beyond(self, which: NDArray[np.bool_], times: float) -> Space:
-        """Return the coordinates with the bounds of some parameters (P,) that are absent at 0 so many times as far."""
-        wider = copy(self)
-        wider.low, wider.high = (np.where(which, times * end, end) for end in (self.low, self.high))
-        return wider
-
-    @property
-    def count(self) -> int:
-        """How many free parameters the effects have: what a criterion of information counts."""
-        return int(self.declared.sum())
-
     @cached_property
     def free_labels(self) -> list[str]:
         """The labels of the free parameters."""
         return [self.labels[i] for i in self.free]
+
+    def of(self, effects: Collection[str]) -> NDArray[np.bool_]:
+        """Return which of the free parameters (P,) are those of some effects."""
+        return np.array([label.split(".")[0] in effects for label in self.free_labels], bool)
 
 
 @dataclass(frozen=True, eq=False)
@@ -179,22 +172,13 @@ class Problem:
     def __init__(self, record: Record, noise: Noise, whitener: Whitener, base: dict[str, float] | None = None) -> None:
         """Share `record`, `noise` and `whitener`; `base` are the model's own parameters by label."""
         self.record, self.noise, self.whitener = record, noise, whitener
-        own = dict(zip(record.layout(record.model.chain_names).labels, map(float, record.own())))
-        self.base = own if base is None else base
+        self.base = record.own_values() if base is None else base
         self.gain = 1.0 / np.sqrt(noise.inflation)
         seen = np.isfinite(record.seen).mean(axis=1)  # a frame that shows a third of the body counts a third
         self.numbers = float(seen.sum() * whitener.numbers) / noise.inflation
         self.folds = run_folds(record.t_seen, record.block)
         self._seen: tuple[Floats, Told | None] | None = None
         self._spaces: dict[tuple[tuple[str, ...], ...], Space] = {}
-
-    def some(self, rows: NDArray[np.intp]) -> Problem:
-        """Return the same on some of the frames, `rows` rising."""
-        record = self.record.some(rows)
-        kernel = command_kernel(record.command, self.record.spread, self.record.leaning[rows])
-        few = Problem(record, self.noise, replace(self.whitener, kernel=kernel), self.base)
-        few._spaces = self._spaces  # frames do not matter to them
-        return few
 
     def modes(self, predicted: Floats) -> Floats:
         """Return the residual modes (..., K, M) of predictions (..., K, F)."""
@@ -281,10 +265,6 @@ class Problem:
         fits = [self._descend(tuple(effects), space.pinned(x), x) for x in inside]
         return min(fits, key=lambda fit: fit.cost)
 
-    def beyond(self, fit: Fit, which: NDArray[np.bool_], times: float) -> Fit:
-        """Go on with a fit where some parameters (P,) may be so many times as far as their bounds."""
-        return self._descend(fit.effects, fit.space.beyond(which, times), fit.x)
-
     def null(self) -> Fit:
         """Return the model as it is, as a fit of nothing."""
         return self.fit((), [np.zeros(0)])
@@ -354,19 +334,14 @@ class Problem:
         squares = [self.record.squares(self.record.seen[test] - p[test]).ravel() for p, (_, test) in folds]
         return float(np.sqrt(np.nanmean(np.concatenate(squares))))
 
-    def fold_losses(self, predictions: Floats) -> tuple[Floats, Floats]:
-        """Return held-out losses (folds,) of each fold's own prediction on its test frames: plain and whitened.
+    def fold_losses(self, predictions: Floats) -> Floats:
+        """Return held-out losses (folds,) of each fold's own prediction on its test frames.
 
-        Plain counts every frame for itself, with noise and form error in its variance; whitened forgives what the form
-        error could be, so it sees memory best and static effects hardly.
+        Every frame counts for itself, with noise and form error in its variance.
         """
-        plain, white = [], []
         spread = np.sqrt(1.0 + self.whitener.form)
-        for prediction, (_, test), (_, kernel) in zip(predictions, self.folds, self.fold_kernels):
-            modes = self.whitener.modes(self.record.seen[test] - prediction[test]) * self.gain
-            plain.append(float(np.sum((modes / spread) ** 2)))
-            white.append(float(np.sum(self.whitener.shrink(modes, kernel) ** 2)))
-        return np.array(plain), np.array(white)
+        modes = [self.whitener.modes(self.record.seen[i] - p[i]) for p, (_, i) in zip(predictions, self.folds)]
+        return np.array([np.sum((one * self.gain / spread) ** 2) for one in modes])
 
 
 def newton_step(space: Space, x: Floats, jacobian: Floats, residual: Floats, damping: float) -> Floats:

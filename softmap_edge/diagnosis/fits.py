@@ -31,7 +31,7 @@ class Fits:
         self.problem, self.candidates = problem, list(candidates)
         self.null = problem.null()
         self._fits: dict[Key, Fit] = {(frozenset(), frozenset()): self.null}
-        self._losses: dict[Key, tuple[Floats, Floats, Floats]] = {}
+        self._losses: dict[Key, tuple[Floats, Floats]] = {}
         self._shifts: dict[tuple[Key, str], Floats] = {}
 
     def get(self, effects: Collection[str], split: Collection[str] = ()) -> Fit:
@@ -85,17 +85,17 @@ class Fits:
         """Return leftover chi² per number, at least 1."""
         return max(1.0, fit.chi2 / max(1.0, self.problem.numbers - len(fit.x)))
 
-    def losses(self, fit: Fit) -> tuple[Floats, Floats, Floats]:
-        """Return held-out losses (folds,), plain and whitened, and the fold predictions (folds, K, F)."""
+    def losses(self, fit: Fit) -> tuple[Floats, Floats]:
+        """Return held-out losses (folds,) and the fold predictions (folds, K, F)."""
         key = _key(fit)
         if key not in self._losses:
             predictions = self.problem.fold_predictions(fit)
-            self._losses[key] = (*self.problem.fold_losses(predictions), predictions)
+            self._losses[key] = self.problem.fold_losses(predictions), predictions
         return self._losses[key]
 
     def held_out_mm(self, fit: Fit) -> float:
         """Return the RMS distance in mm over the places on blocks that trained nothing."""
-        return self.problem.held_out_mm(self.losses(fit)[2])
+        return self.problem.held_out_mm(self.losses(fit)[1])
 
     def displacement(self, fit: Fit, effect: str) -> Floats:
         """Return the feature differences (K, F) mm that `effect` makes within a fit."""
@@ -157,7 +157,7 @@ def _with_signs(problem: Problem, space: Space, points: Floats, effect: str) -> 
     The place of an effect (a radius, an instant, a section) is compared from start to start. With a wrong sign the
     right place looks worst.
     """
-    own = np.array([label.split(".")[0] == effect for label in space.free_labels], bool)
+    own = space.of((effect,))
     places = own & (space.log | space.instant)
     signed = np.flatnonzero(own & ~space.log & ~space.instant & ~space.integer & (space.low < 0))
     if not places.any() or not len(signed):
@@ -178,10 +178,9 @@ def _joined(space: Space, parent: Fit, effect: str, start: Floats) -> Floats:
     """Return joint coordinates (P,): the parent's own where it has them, `start` for `effect`."""
     x = np.zeros(len(space.free_labels))
     old = dict(zip(parent.space.free_labels, parent.x))
-    new = [i for i, label in enumerate(space.free_labels) if label.split(".")[0] == effect]
     for i, label in enumerate(space.free_labels):
         x[i] = old.get(label, 0.0)
-    x[new] = start
+    x[space.of((effect,))] = start
     return np.clip(x, space.low, space.high)
 
 

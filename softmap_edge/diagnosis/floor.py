@@ -73,20 +73,16 @@ def rms(squares: Floats) -> float:
 
 @dataclass(frozen=True)
 class PointNoise:
-    """The noise of a point: `mm`, the RMS distance from its own mean, and the `source` it was estimated from.
-
-    `is_bound` marks an upper bound, which holds more than noise.
-    """
+    """The noise of a point: `mm`, the RMS distance from its own mean, and the `source` it was estimated from."""
 
     mm: float
     source: str
-    is_bound: bool = False
 
 
 def noise_of_points(run: Run) -> PointNoise | None:
     """Return the noise of a run's points from its repeats, None without enough of them.
 
-    `check`, `compare` and `diagnose` report this number: it depends on the run alone.
+    `check` and `compare` report this number: it depends on the run alone.
     """
     seen = next((s for s in (getattr(run, n, None) for n in ("vertices", "markers")) if s is not None), None)
     command = commanded(run)
@@ -117,7 +113,7 @@ def replicates(state: Conditions, seen: Floats, visible: Mask) -> PointNoise | N
         value = _within(groups, seen, visible)
         if value is not None:
             text = f"{len(groups)} commands seen repeatedly; memory of the robot counts as noise here: {BOUND}"
-            return PointNoise(value, text, True)
+            return PointNoise(value, text)
     return None
 
 

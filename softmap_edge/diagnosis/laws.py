@@ -15,18 +15,9 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from softmap_edge.diagnosis.decision import (
-    FALL,
-    STANDS_FOR,
-    difference,
-    form_of,
-    leaves_cause,
-    near,
-    reaches,
-    seen_to_fall,
-)
-from softmap_edge.diagnosis.evidence import at_bound
+from softmap_edge.diagnosis import decision as rule
 from softmap_edge.diagnosis.families import (
+    CURVES,
     Body,
     Columns,
     Commands,
@@ -42,18 +33,11 @@ from softmap_edge.diagnosis.fits import Fits
 from softmap_edge.folds import GAP
 
 Floats = NDArray[np.float64]
-Curve = Callable[[Floats], Floats]
 
 WINDING = "eccentric_pulley"  # whose five numbers make it many smooth maps
 PAIRED = 3  # members of which pairs are tried
 MANY_LAWS = ("static", "time")  # kinds of families that smooth curves of many laws can explain
-GENERIC: dict[str, tuple[Curve, ...]] = {
-    "u|u|": (lambda x: x * np.abs(x),),
-    "u³": (lambda x: x**3,),
-    "u, u|u|": (lambda x: x, lambda x: x * np.abs(x)),
-    "u, u³": (lambda x: x, lambda x: x**3),
-    "u, u², u³": (lambda x: x, lambda x: x**2, lambda x: x**3),
-}
+GENERIC = ("u|u|", "u³", "u, u|u|", "u, u³", "u, u², u³")  # sums of CURVES, which no effect stands for
 GENERIC_RIDGE = 0.3
 
 
@@ -66,7 +50,6 @@ class Law:
     fit: Fit | None
     loss: Floats  # (folds,)
     numbers: int
-    bounds: tuple[str, ...] = ()  # labels of numbers that stand at a bound
 
     @property
     def left(self) -> float:
@@ -117,12 +100,17 @@ class Answer:
         """The held-out loss (folds,) of the law that stands for the family, else the least that the family can do."""
         if self.resolved and self.law is not None:
             return self.law.loss
-        return min((self.representative.loss, *(law.loss for law in self.reaching)), key=lambda loss: float(loss.sum()))
+        return min((self.representative.loss, *(law.loss for law in self.reaching)), key=np.sum)
+
+    @property
+    def left(self) -> float:
+        """The same of all folds."""
+        return float(self.loss.sum())
 
     @property
     def least(self) -> Floats:
         """The least held-out loss (folds,) of the law and the representative."""
-        return min((self.loss, self.representative.loss), key=lambda loss: float(loss.sum()))
+        return self.representative.loss if self.representative.left < self.left else self.loss
 
     @property
     def numbers(self) -> float:
@@ -153,12 +141,10 @@ def law_of(state: State, fits: Fits, effects: tuple[str, ...], before: Floats, s
     level = body.level()
     names, ridges = state.blocks(level, fit)
     level.close(np.ascontiguousarray(fit.modes))
-    own = np.array([label.split(".")[0] in effects for label in fit.space.free_labels], bool)
-    bounds = [label for label, mine, bound in zip(fit.space.free_labels, own, at_bound(fit)) if mine and bound]
     loss = capped_at_events(np.asarray(level.losses(names, ridges)), before, fit, effects)
     each = {e: f"{e} for each {'cable' if _of_cables(fit, e) else 'channel'}" for e in split}
     name = " + ".join(each.get(e, e) for e in effects)
-    return Law(name, effects, fit, loss, int(own.sum()), tuple(bounds))
+    return Law(name, effects, fit, loss, int(fit.space.of(effects).sum()))
 
 
 def _of_cables(fit: Fit, effect: str) -> bool:
@@ -173,8 +159,7 @@ def capped_at_events(loss: Floats, before: Floats, fit: Fit, effects: Sequence[s
     Other folds cannot show an event that happens once, in this fold: there a law is as good as none.
     """
     record, loss = fit.problem.record, loss.copy()
-    own = np.array([label.split(".")[0] in effects for label in fit.space.free_labels], bool)
-    for instant in fit.space.values(fit.x)[own & fit.space.instant]:
+    for instant in fit.space.values(fit.x)[fit.space.of(effects) & fit.space.instant]:
         for i, (_, test) in enumerate(fit.problem.folds):
             since = record.t_seen[test] - float(getattr(record, "parts", [record])[0].run.t[0])
             if np.min(np.abs(since - instant)) <= 2.0 * GAP:
@@ -189,7 +174,7 @@ class _Asked:
         self.state, self.fits, self.representative, self.before = state, fits, representative, before
         self.body: Body = state.body
         static = representative.family.kind == "static"
-        self.form = form_of(static, representative.moved_mm, self.body.ordinary_mm)
+        self.form = rule.form_of(static, representative.moved_mm, self.body.ordinary_mm)
 
     def members(self) -> list[Law]:
         """Fit each member of the family on top of what was found."""
@@ -218,13 +203,14 @@ class _Asked:
     def generic(self) -> list[Law]:
         """Fit generic laws of a static map, with one set of numbers and with one for each channel."""
         laws = []
-        for name, curves in GENERIC.items():
+        for name in GENERIC:
+            curves = [CURVES[curve] for curve in name.split(", ")]
             laws.append(self._generic(f"{name} on each channel", curves, False))
             if len(curves) == 1 and len(self.body.half) > 1:
                 laws.append(self._generic(f"{name} on all channels", curves, True))
         return laws
 
-    def _generic(self, name: str, curves: Sequence[Curve], shared: bool) -> Law:
+    def _generic(self, name: str, curves: Sequence[Callable[[Floats], Floats]], shared: bool) -> Law:
         """Fit u + Σ θ · curve(u), with the same θ for all channels or with one for each."""
         body, state = self.body, self.state
         channels = len(body.half)
@@ -252,15 +238,14 @@ class _Asked:
 
     def any_reaches(self, laws: list[Law]) -> bool:
         """Whether one of the laws does what the family can do."""
-        explained = float(self.before.sum() - self.representative.loss.sum())
-        return any(reaches(law.loss, self.representative.loss, explained, self.form) for law in laws)
+        explained = float(self.before.sum()) - self.representative.left
+        return any(rule.reaches(law.loss, self.representative.loss, explained, self.form) for law in laws)
 
     def judged(self, laws: list[Law]) -> Answer:
         """Say which law it is, given all that were tried."""
-        losses = [self.representative.loss, *(law.loss for law in laws)]
-        best = min(losses, key=lambda loss: float(loss.sum()))
+        best = min((self.representative.loss, *(law.loss for law in laws)), key=np.sum)
         explained = float(self.before.sum() - best.sum())
-        able = sorted((law for law in laws if reaches(law.loss, best, explained, self.form)), key=_simplest)
+        able = sorted((law for law in laws if rule.reaches(law.loss, best, explained, self.form)), key=_simplest)
         named = [law for law in able if law.effects and not self._any_map(law)]
         generic = [law for law in able if law not in named]
         # With a number for each cable, a smooth law follows maps of any form.
@@ -269,7 +254,7 @@ class _Asked:
         same = self._equal(named, 0.5 * self.form * explained)
         if not named and (candidate := self._main(laws, explained)) is not None:
             is_open, same = is_open or self.representative.family.kind in MANY_LAWS, [candidate]
-        tried = tuple(sorted(laws, key=lambda one: float(one.loss.sum())))
+        tried = tuple(sorted(laws, key=lambda law: law.left))
         return Answer(
             self.representative.family, self.representative, self.before, same[0] if same else None, tuple(same[1:]),
             is_open, tuple(able), tried,
@@ -280,13 +265,13 @@ class _Asked:
 
         A rod's own error is part of its noise: there, shares of a memory are too unsure for a candidate.
         """
-        if self.representative.family.kind not in MANY_LAWS and self.body.record.model.kind == "rod":
+        if self.representative.family.kind not in MANY_LAWS and self.body.record.error_is_noise:
             return None
         members = sorted((law for law in laws if law.effects and not self._any_map(law)), key=lambda law: law.left)
         done = float(self.before.sum()) - members[0].left if members else 0.0
-        if not done >= STANDS_FOR * explained > 0.0:
+        if not done >= rule.STANDS_FOR * explained > 0.0:
             return None
-        return min((law for law in members if near(law.loss, members[0].loss, self.before)), key=_simplest)
+        return min((law for law in members if rule.near(law.loss, members[0].loss, self.before)), key=_simplest)
 
     def _equal(self, candidates: list[Law], worth: float) -> list[Law]:
         """Return the simplest of the laws and its equals with as few numbers: the best, then the first to act."""
@@ -298,13 +283,13 @@ class _Asked:
             for law in others
             if not set(first.effects) < set(law.effects)
             and law.numbers <= first.numbers
-            and not leaves_cause(law.loss, first.loss, self.body.problem.numbers)
-            and float(law.loss.sum() - first.loss.sum()) <= max(worth, difference(law.loss, first.loss).error)
+            and not rule.leaves_cause(law.loss, first.loss, self.body.problem.numbers)
+            and law.left - first.left <= max(worth, rule.difference(law.loss, first.loss).error)
         ]
 
         def beaten(law: Law) -> bool:
-            fall = difference(law.loss, first.loss)
-            return seen_to_fall(fall) and fall.fall >= FALL * law.left
+            fall = rule.difference(law.loss, first.loss)
+            return rule.seen_to_fall(fall) and fall.fall >= rule.FALL * law.left
 
         return sorted([first, *equals], key=lambda law: (law.numbers, beaten(law), self._stage(law)))
 

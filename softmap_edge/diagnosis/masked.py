@@ -34,7 +34,7 @@ Floats = NDArray[np.float64]
 
 OWN = 1.5  # times the model's own error that a residual must be to hide anything
 HIDES = 0.6  # of the residual's mean square: an effect that explains less is another
-LOOKED_AT = 8  # effects that are fitted to the residual, of those that screening finds best
+LOOKED_AT = 8  # effects that are compared with the residual: those that fit it best
 AGAINST = 9.0  # of the objective over the over-dispersion: three standard deviations
 
 
@@ -71,13 +71,13 @@ class Masked:
             which = ", ".join(f"{name} ({100 * share:.0f} % of it)" for name, share in self.may_be)
             return f"{told}; it may hide {which}"
         if self.with_mm >= self.without_mm:
-            return f"{told}; it is not of this run"
+            return f"{told}; it does not lower the error of this run"
         if self.left_mm <= self.own_mm:
             return (
                 f"{told}; {self.left_mm:.2f} mm RMS of it are unexplained (fitted), up to {self.own_mm:.2f} mm RMS may "
                 "be its own error"
             )
-        return f"{told}; {self.left_mm:.2f} mm RMS of it (fitted) are left that no effect explains alone"
+        return f"{told}; no single effect explains the remaining {self.left_mm:.2f} mm RMS of it (fitted)"
 
 
 def masked(fits: Fits, fit: Fit) -> Masked | None:
@@ -117,8 +117,7 @@ def _as_if_seen(fits: Fits, field: Floats) -> Problem:
     record: Record = copy(problem.record)
     record.static = None
     record.seen = np.where(np.isfinite(record.seen), fits.null.predicted + field, np.nan)
-    rod = record.model.kind == "rod"
-    own = form_covariance(record.form_error, record.positions, record.section) * (not rod)
+    own = form_covariance(record.form_error, record.positions, record.section) * (not record.error_is_noise)
     form = np.einsum("mf,fg,mg->m", problem.whitener.project, own, problem.whitener.project)
     return Problem(record, problem.noise, replace(problem.whitener, form=form), problem.base)
 

@@ -62,18 +62,17 @@ class Noise:
 
     `slow` (F, F) is the part of the covariance from a jitter of the frame with memory `memory_s`: `slow_inflation` of
     its frames count as one. `moving` is the motion of the body while its commands stand; it is not noise and not in the
-    covariance. `point_mm` is the noise of a point (RMS distance), as in `check` and `compare`.
+    covariance.
     """
 
     covariance: Floats
     source: str
     inflation: float
-    replicates: bool = False  # whether dwells told it
+    replicates: bool = False  # whether it was estimated from dwells
     slow: Floats | None = None
     memory_s: float = 0.0
     slow_inflation: float = 1.0
     moving: tuple[MotionAtRest, ...] = ()
-    point_mm: float | None = None
 
     @property
     def effective(self) -> Floats:
@@ -112,9 +111,7 @@ def motion_left(residual: Floats, seen: Floats, positions: Mask, t_seen: Floats,
     return motion_at_rest(residual, seen, positions, t_seen, state.command, settled_dwells(state), modes)
 
 
-def measure_noise(
-    residual: Floats, seen: Floats, positions: Mask, t_seen: Floats, state: Conditions, point_mm: float | None = None
-) -> Noise:
+def measure_noise(residual: Floats, seen: Floats, positions: Mask, t_seen: Floats, state: Conditions) -> Noise:
     """Measure the noise of a run: within dwells, between visits of one pose, without motion of the body at rest.
 
     Args:
@@ -123,13 +120,12 @@ def measure_noise(
         positions: which features (V,) are places.
         t_seen: (K,) s.
         state: conditions of the frames.
-        point_mm: the noise of a point, where it is known.
 
     Returns:
         Noise: from `estimate_noise` if the run does not repeat itself.
     """
     dwell = settled_dwells(state)
-    plain = replace(estimate_noise(residual, t_seen, dwell), point_mm=point_mm)
+    plain = estimate_noise(residual, t_seen, dwell)
     if not plain.replicates:
         return plain
     modes = commanded_modes(seen, state.command, _most_modes(residual.shape[1]))
@@ -138,10 +134,10 @@ def measure_noise(
     jitter = None if white is None else frame_jitter(moving.values, seen, positions, state, dwell, modes, white)
     if white is None or (jitter is None and not moving.irregular):
         again = estimate_noise(moving.values, t_seen, dwell) if moving.found else plain
-        return replace(again, moving=moving.found, point_mm=point_mm)
+        return replace(again, moving=moving.found)
     fast = _white_scatter(moving.values, seen, positions, modes, white, dwell)
     covariance = _shrunk(fast.squares / fast.degrees, fast.degrees)
-    told = Noise(covariance, plain.source, _inflation(fast.rho), True, moving=moving.found, point_mm=point_mm)
+    told = Noise(covariance, plain.source, _inflation(fast.rho), True, moving=moving.found)
     if jitter is None:
         return told
     slow = jitter.of_features(filled(seen)[_spread(len(seen))], positions)
@@ -393,7 +389,7 @@ def _high_frequency(residual: Floats, t_seen: Floats) -> Floats:
     """Noise variance from second differences r[k-1] - 2 r[k] + r[k+1] (6 σ² for white noise), outliers clipped."""
     if len(residual) < 5:
         raise SoftmapError(
-            f"{len(residual)} seen frames are too few to tell noise from physics; record at least 5, better 60"
+            f"{len(residual)} seen frames are too few to estimate the noise; record at least 5, better 60"
         )
     step = np.diff(t_seen)
     regular = np.maximum(step[1:], step[:-1]) < 3 * np.median(step)

@@ -49,11 +49,6 @@ class Outcome:
     hint: Representative | None = None  # the best family, if it was not accepted but falls
 
     @property
-    def ordinary_mm(self) -> float:
-        """Ordinary static imperfections of the robot, RMS, apart from what was found."""
-        return self.body.ordinary_mm
-
-    @property
     def fit(self) -> Fit:
         """The laws that were found, fitted together."""
         return self.state.fit
@@ -69,7 +64,7 @@ class Outcome:
         problem, record = self.body.problem, self.body.record
         noise = rule.ABOVE_NOISE * problem.numbers
         in_loss = (self.loss.sum() - noise) / max(float(self.null.sum()) - noise, 0.25 * noise)
-        own = max(record.form_mm**2 + self.ordinary_mm**2, problem.noise.rms_mm(record.positions) ** 2)
+        own = max(record.form_mm**2 + self.body.ordinary_mm**2, problem.noise.rms_mm(record.positions) ** 2)
         start = record.rms_mm(record.seen - self.fits.null.predicted) ** 2
         residual = self.state.residual  # it is whitened: in mm, imperfections may explain more than is there
         now = min(record.rms_mm(residual), record.rms_mm(residual - self.state.ordinary)) ** 2
@@ -84,7 +79,7 @@ def held_out_loss(outcome: Outcome) -> Floats:
     state = outcome.state
     ways = [state, State(state.body, state.fit, state.beside)] if state.background else [state]
     open_ = [step.family for step in outcome.steps if not step.answer.resolved]
-    loss = min((ranked(way, open_, open_).before for way in ways), key=lambda loss: float(loss.sum()))
+    loss = min((ranked(way, open_, open_).before for way in ways), key=np.sum)
     for step in outcome.steps:
         if step.answer.law is not None:
             loss = capped_at_events(loss, step.answer.before, state.fit, step.answer.law.effects)

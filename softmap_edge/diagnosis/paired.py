@@ -132,7 +132,7 @@ def _without(record: Record, absent: Sequence[str]) -> Floats:
     """Return what the model predicts for a run (K, F) mm, some of its own effects left out."""
     own = tuple(record.model.chain_names)
     names = tuple(name for name in own if name not in absent)
-    params = dict(zip(record.layout(own).labels, map(float, record.own())))
+    params = record.own_values()
     return np.asarray(record.predict(names, record.layout(names).values(params)[None])[0])
 
 
@@ -235,7 +235,7 @@ def _read(at: Floats, t: Floats, values: Floats) -> Floats:
 
 def _form_left(record: Record, reference: Record, missed: Floats) -> Floats:
     """Return what is left (V, 3) mm of the model's own error in the difference of the runs."""
-    if record.model.kind != "rod":
+    if not record.error_is_noise:
         mine, theirs = record.form_error, reference.form_error
         return np.asarray(np.sqrt((KEPT * theirs) ** 2 + np.maximum(mine**2 - theirs**2, 0.0)))
     base = record.predict(record.model.chain_names, record.own()[None])[0]

@@ -15,7 +15,6 @@ from softmap_edge.diagnosis.conditions import orientations
 from softmap_edge.diagnosis.evidence import experiment
 from softmap_edge.diagnosis.findings import Untestable
 from softmap_edge.diagnosis.fit import Problem
-from softmap_edge.diagnosis.floor import noise_of_points
 from softmap_edge.diagnosis.memoryless import repeats_of
 from softmap_edge.diagnosis.noise import Noise, command_kernel, form_covariance, measure_noise, rod_noise, whitener
 from softmap_edge.diagnosis.record import Record
@@ -60,7 +59,7 @@ def candidates_of(
             why = f"it is between channels, and the model has {record.model.channels}"
             impossible.append(Untestable(name, why, "a robot of more channels", 0.0))
         elif name in lawless:
-            why = "the tendons of this model do not push, or it knows none: there is no such law to change"
+            why = "the model has no such law to change: its tendons do not push, or it has none"
             impossible.append(Untestable(name, why, "a model learned with a robot.toml whose tendons push", 0.0))
         elif lacking := record.model.lacking(name):
             why = f"this model has no field {lacking[0]}"
@@ -78,7 +77,9 @@ def candidates_of(
         # A rod's fields bend its own centreline by one unknown compliance: own weight and tip load differ by less than
         # its form error, and a tilt of gravity is an offset. The simpler member stands for the family.
         block, minutes = experiment(registry, "gravity")
-        impossible.append(Untestable("gravity", "in one orientation a rod cannot tell it from payload", block, minutes))
+        impossible.append(
+            Untestable("gravity", "in one orientation a rod cannot distinguish it from payload", block, minutes)
+        )
     out = {h.name for h in impossible}
     return [n for n in names if n not in out], impossible
 
@@ -103,7 +104,7 @@ def problem_of(record: Record, candidates: Sequence[str], noise: Noise | None = 
     stack = np.stack(signatures) if signatures else np.zeros((1, len(thin), record.features))
     kernel = command_kernel(record.command, record.spread, record.leaning)
     noise = noise or noise_of(record, record.seen - base)
-    if record.model.kind == "rod":
+    if record.error_is_noise:
         form = np.zeros((record.features, record.features))
     else:
         form = form_covariance(record.form_error, record.positions, record.section)
@@ -114,11 +115,8 @@ def problem_of(record: Record, candidates: Sequence[str], noise: Noise | None = 
 
 def noise_of(record: Record, residual: Floats) -> Noise:
     """Return the noise of a record from a model's residual (K, F) mm."""
-    points = [noise_of_points(run) for run in record.whole]
-    known = [p.mm for p in points if p is not None]
-    point = float(np.sqrt(np.mean(np.square(known)))) if known else None
-    noise = measure_noise(residual, record.seen, record.positions, record.t_seen, record.state, point)
-    if record.model.kind != "rod":
+    noise = measure_noise(residual, record.seen, record.positions, record.t_seen, record.state)
+    if not record.error_is_noise:
         return noise
     again = repeats_of(residual, record.state, load_seen(record))
     return rod_noise(residual, record.t_seen, record.form_error, noise, again)
@@ -142,8 +140,7 @@ def load_seen(record: Record) -> Floats | None:
 def _signatures(record: Record, name: str, base: Floats) -> list[Floats]:
     """Return what an effect adds to `base` (K, F) mm at its start values, all at once and each parameter alone."""
     names = tuple(record.model.chain_names) + (() if name in record.model.chain_names else (name,))
-    layout, present = record.layout(names), record.layout(record.model.chain_names)
-    own = dict(zip(present.labels, map(float, record.own())))
+    layout, own = record.layout(names), record.own_values()
     null = np.array([own.get(label, n) for label, n in zip(layout.labels, layout.null)])
     mine = [i for i, label in enumerate(layout.labels) if label.split(".")[0] == name]
     every = null.copy()

@@ -231,6 +231,10 @@ class Record:
         layout = self.layout(self.model.chain_names)
         return layout.values(named(chain, np.asarray(self.model.chain_params)), layout.null)
 
+    def own_values(self) -> dict[str, float]:
+        """Return the same by label."""
+        return dict(zip(self.layout(self.model.chain_names).labels, map(float, self.own())))
+
     @cached_property
     def _inputs(self) -> dict[str, Any]:
         """The run as the model's core takes it, for models that have one."""
@@ -272,19 +276,6 @@ class Record:
 
         return predict
 
-    def acting(self, names: Sequence[str], params: Floats) -> Floats:
-        """Return the effective commands at the shape, (B, K, C), for parameter sets as `predict` takes them."""
-        params = self.full(names, params)
-        chain = np.ascontiguousarray(params[:, : params.shape[1] - len(self._changes(names))])
-        return np.asarray(self.model.acting(tuple(names), chain, self.run, **self._inputs))
-
-    def slopes(self, names: Sequence[str], params: Floats) -> Floats:
-        """Return the slopes (C, K, F) mm of features over effective commands, at one parameter set of `predict`."""
-        step = np.maximum(SLOPE * self.spread, 1e-3)
-        model, _, sets = self._models(names, self.full(names, params[None]))[0]
-        slopes = model.slopes(tuple(names), sets[0], step, self.run, **self._inputs)
-        return np.asarray(slopes).reshape(len(slopes), self.frames, self.features)
-
     # --- measures -------------------------------------------------------------------------------
 
     def rms_mm(self, difference: Floats, frames: NDArray[Any] | None = None) -> float:
@@ -296,6 +287,11 @@ class Record:
         """Return squared distances (K, places) mm² of feature differences (K, F); NaN where unseen."""
         places = difference.reshape(len(difference), -1, 3)[:, self.positions]
         return np.asarray(np.sum(places**2, axis=2))
+
+    @property
+    def error_is_noise(self) -> bool:
+        """Whether the model's own error counts as noise: that of a rod is not smooth in its commands."""
+        return bool(self.model.kind == "rod")
 
     @property
     def form_mm(self) -> float:
@@ -311,7 +307,7 @@ class Record:
         own = tuple(self.model.chain_names)
         names = own if "mount" in own else (*own, "mount")
         layout = self.layout(names)
-        at = layout.values(dict(zip(self.layout(own).labels, map(float, self.own()))), layout.null)
+        at = layout.values(self.own_values(), layout.null)
         labels = np.array(layout.labels)
         moved = [at + each * (labels == label) for label, each in zip(FRAME, np.asarray(sigma, float))]
         seen = self.predict(names, np.stack([at, *moved]))

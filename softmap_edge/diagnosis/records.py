@@ -166,14 +166,6 @@ class Records(Record):
 
         return predict
 
-    def acting(self, names: Sequence[str], params: Floats) -> Floats:
-        """Return the effective commands at the shape, (B, ΣK, C), for parameter sets as `predict` takes them."""
-        return np.concatenate([part.acting(names, own) for part, own in self._each(names, params)], axis=1)
-
-    def slopes(self, names: Sequence[str], params: Floats) -> Floats:
-        """Return the slopes (C, ΣK, F) mm of features over effective commands, at one parameter set of `predict`."""
-        return np.concatenate([part.slopes(names, own) for part, own in self._each(names, params)], axis=1)
-
 
 def record_of(
     model: Any, run: Run | Sequence[Run], library: Any = None, reference: Run | Sequence[Run] | None = None

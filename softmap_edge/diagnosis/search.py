@@ -14,24 +14,8 @@ from functools import partial
 
 import numpy as np
 
+from softmap_edge.diagnosis import acceptance
 from softmap_edge.diagnosis import decision as rule
-from softmap_edge.diagnosis.acceptance import (
-    ASKED,
-    BACKGROUND,
-    CATCH_ALL,
-    MOST,
-    accepted,
-    beyond_ordinary,
-    does_the_same,
-    falls_on,
-    indistinct,
-    is_ordinary,
-    motion_mm,
-    one_pose,
-    order_of,
-    ordinary,
-    stands_out,
-)
 from softmap_edge.diagnosis.decision import difference, near, seen_to_fall
 from softmap_edge.diagnosis.families import (
     RIDGES,
@@ -58,7 +42,7 @@ def search(
     problem: Problem,
     candidates: Sequence[str],
     progress: Callable[[str], None] | None = None,
-    visible: float = rule.VISIBLE_MM,
+    visible: float | None = None,
 ) -> Outcome:
     """Find the families that a model lacks on a problem, and their laws.
 
@@ -66,9 +50,10 @@ def search(
         problem: the record with its noise.
         candidates: names of the effects that may be a law.
         progress: is called with one line for each family.
-        visible: least effect size that counts, RMS, in mm or the unit of the output.
+        visible: least effect size that counts, RMS, in mm or the unit of the output; VISIBLE_MM by default.
     """
     tell = progress or (lambda _: None)
+    visible = rule.VISIBLE_MM if visible is None else visible
     more = partial(_one_by_one, tell=tell, visible=visible)
     body, fits = Body(problem, candidates), Fits(problem, candidates)
     state = State(body, fits.null)
@@ -77,7 +62,7 @@ def search(
     more(outcome, 1)
     outcome = completed(outcome, more, visible)
     if _ask_again(outcome) and outcome.state.without_background() is not outcome.state:
-        more(outcome, MOST)  # with other laws, the static remainder may be more than ordinary
+        more(outcome, acceptance.MOST)  # with other laws, the static remainder may be more than ordinary
     name_candidates(outcome)
     outcome.loss = held_out_loss(outcome)
     return outcome
@@ -90,10 +75,11 @@ def _one_by_one(outcome: Outcome, most: int, tell: Callable[[str], None], visibl
         before, taken = outcome.state, [step.family for step in outcome.steps]
         state = before.without_background()
         ranking = ranked(state, every, taken)
-        if body.free_map or body.record.model.kind != "rod":  # another rod's own error is its noise
-            body.ordinary_mm = ordinary(state, ranking, every)
-        if is_ordinary(ranking, state) or (state is not before and not beyond_ordinary(ranking, state)):
-            state = State(body, state.fit, state.beside, [f for f in every if f.name in BACKGROUND])
+        if body.free_map or not body.record.error_is_noise:
+            body.ordinary_mm = acceptance.ordinary(state, ranking, every)
+        ordinary = acceptance.is_ordinary(ranking, state)
+        if ordinary or (state is not before and not acceptance.beyond_ordinary(ranking, state)):
+            state = State(body, state.fit, state.beside, [f for f in every if f.name in acceptance.BACKGROUND])
             ranking = ranked(state, [f for f in every if f.kind != "static"], taken)
         outcome.state, outcome.loss = state, ranking.found
         step = None if outcome.steps else _miswired(ranking, state, outcome.fits)
@@ -109,51 +95,50 @@ def _one_by_one(outcome: Outcome, most: int, tell: Callable[[str], None], visibl
 
 def _next(ranking: Ranking, state: State, fits: Fits, outcome: Outcome, visible: float) -> Step | None:
     """Return the next family to take, or None; the outcome keeps a hint where the best was not accepted."""
-    single = one_pose(state.body)
+    single = acceptance.one_pose(state.body)
     rows = _in_order(_laws_alone(ranking, state, fits) if single else _static_settled(ranking, state), ranking)
     if not rows:
         return None
     later, best = bool(outcome.steps), rows[0]
-    able = [row for row in rows if accepted(row, ranking, state, later, visible)]
-    rod = state.body.record.model.kind == "rod"  # its own error counts as noise, which another law may explain
-    if best not in able and (rod or stands_out(ranking.before, state.body, later)):
+    able = [row for row in rows if acceptance.accepted(row, ranking, state, later, visible)]
+    noisy = state.body.record.error_is_noise  # another law may explain part of it
+    if best not in able and (noisy or acceptance.stands_out(ranking.before, state.body, later)):
         # an event, or a law far from every column: the representative may not show it
-        by_law = [_by_law(row, ranking, state, fits) for row in rows[:ASKED]]
-        able = [row for row in by_law if accepted(row, ranking, state, later, visible)]
-        best = min((best, *able), key=lambda row: float(row.loss.sum()))
-        able.sort(key=lambda row: float(row.loss.sum()))
-    gain = float(ranking.before.sum() - best.loss.sum())
-    if not able or (able[0] is not best and float(able[0].loss.sum() - best.loss.sum()) > HINT * gain):
+        by_law = [_by_law(row, ranking, state, fits) for row in rows[: acceptance.ASKED]]
+        able = [row for row in by_law if acceptance.accepted(row, ranking, state, later, visible)]
+        best = min((best, *able), key=lambda row: row.left)
+        able.sort(key=lambda row: row.left)
+    gain = float(ranking.before.sum()) - best.left
+    if not able or (able[0] is not best and able[0].left - best.left > HINT * gain):
         outcome.hint = best if gain > HINT * float(ranking.before.sum()) else None
         return None
     answers = [answered(state, fits, row, ranking.found, pairs=False) for row in _tied(able, ranking, state, single)]
     above = max(0.0, float(ranking.found.sum()) - rule.ABOVE_NOISE * state.body.problem.numbers)
     least = max(rule.FALL_FIRST * above, rule.FALL * float(ranking.found.sum()))
-    answers = [a for a in answers if float(ranking.found.sum() - a.loss.sum()) >= least]
+    answers = [a for a in answers if float(ranking.found.sum()) - a.left >= least]
     if not answers:  # the family falls to first order alone
         outcome.hint = best
         return None
-    best_loss = min((a.least for a in answers), key=lambda loss: float(loss.sum()))
+    best_loss = min((a.least for a in answers), key=np.sum)
     if not single:  # a law may do far more than its family
         answers = [a for a in answers if near(a.least, best_loss, ranking.found)]
     answers = [a for a in answers if not _excluded(a, answers, ranking, state)]
-    static = [a for a in answers if a.family.kind == "static"]
-    answers = [a for a in answers if a in static or not any(does_the_same(a, s, ranking, state) for s in static)]
+    answers = [a for a in answers if not _static_alone(a, answers, ranking, state)]
     first, *rest = sorted(answers, key=lambda a: (
-        not a.resolved, _beaten(a, answers), order_of(a.family), a.numbers, float(a.loss.sum())
+        not a.resolved, _beaten(a, answers), acceptance.order_of(a.family), a.numbers, a.left
     ))  # fmt: skip
-    return Step(first, tuple(a for a in rest if indistinct(a, first, ranking, state)))
+    return Step(first, tuple(a for a in rest if acceptance.indistinct(a, first, ranking, state)))
 
 
 def _split(answer: Answer, state: State, fits: Fits) -> Answer:
     """Return an answer whose law has a number for each channel or cable, if that law leaves far less."""
     law, body = answer.law, state.body
-    if law is None or not answer.resolved or law.split or not stands_out(law.loss, body, laws=True):
+    if law is None or not answer.resolved or law.split or not acceptance.stands_out(law.loss, body, laws=True):
         return answer
     each = law_of(state, fits, law.effects, answer.before, law.effects)
-    if each.numbers == law.numbers or not falls_on(law.loss, each.loss, body, laws=True):
+    if each.numbers == law.numbers or not acceptance.falls_on(law.loss, each.loss, body, laws=True):
         return answer
-    equals = tuple(one for one in answer.equals if not falls_on(one.loss, each.loss, body, laws=True))
+    equals = tuple(one for one in answer.equals if not acceptance.falls_on(one.loss, each.loss, body, laws=True))
     return replace(answer, law=each, equals=equals, reaching=(*answer.reaching, each), tried=(each, *answer.tried))
 
 
@@ -164,11 +149,11 @@ def _static_settled(ranking: Ranking, state: State) -> list[Representative]:
     """
     rows, body = ranking.rows, state.body
     doubtful = [rows[0].loss if rows[0].family.kind == "static" else ranking.before] if rows else []
-    if not any(stands_out(loss, body, laws=True) for loss in doubtful):
+    if not any(acceptance.stands_out(loss, body, laws=True) for loss in doubtful):
         return rows
     static = [row for row in rows if row.family.kind == "static" and row.columns.commanded and np.any(row.theta)]
     settled = {row.family: linearised(state, row)[0] for row in static}
-    return [min((row, settled.get(row.family, row)), key=lambda one: float(one.loss.sum())) for row in rows]
+    return [min((row, settled.get(row.family, row)), key=lambda one: one.left) for row in rows]
 
 
 def _laws_alone(ranking: Ranking, state: State, fits: Fits) -> list[Representative]:
@@ -179,9 +164,9 @@ def _laws_alone(ranking: Ranking, state: State, fits: Fits) -> list[Representati
 
 def _in_order(rows: Sequence[Representative], ranking: Ranking) -> list[Representative]:
     """Return rows with the least loss first; the free static shape is last, unless it does far more than the others."""
-    ordered = sorted(rows, key=lambda row: (row.family.name == CATCH_ALL, float(row.loss.sum())))
-    gains = [float(ranking.before.sum() - row.loss.sum()) for row in ordered]
-    if ordered and ordered[-1].family.name == CATCH_ALL and gains[-1] > rule.DOMINATES * gains[0]:
+    ordered = sorted(rows, key=lambda row: (row.family.name == acceptance.CATCH_ALL, row.left))
+    gains = [float(ranking.before.sum()) - row.left for row in ordered]
+    if ordered and ordered[-1].family.name == acceptance.CATCH_ALL and gains[-1] > rule.DOMINATES * gains[0]:
         ordered = [ordered[-1], *ordered[:-1]]
     return ordered
 
@@ -194,7 +179,7 @@ def _tied(able: list[Representative], ranking: Ranking, state: State, single: bo
         tied = [row for row in able if rule.reaches(row.loss, best, explained, rule.FORM_MOST)]
     else:
         tied = [row for row in able if near(row.loss, best, ranking.before) or _ordinary_apart(row, able[0], state)]
-    if any(row.family.name == CATCH_ALL for row in tied):  # a law may bend more sharply than a spline
+    if any(row.family.name == acceptance.CATCH_ALL for row in tied):  # a law may bend more sharply than a spline
         tied += [row for row in able if row.family.kind == "static" and row not in tied]
     return tied
 
@@ -215,11 +200,17 @@ def _excluded(one: Answer, others: Sequence[Answer], ranking: Ranking, state: St
 
     One that does here what static columns can do does not exclude a static family.
     """
-    if not stands_out(one.least, state.body, laws=True):
+    if not acceptance.stands_out(one.least, state.body, laws=True):
         return False
     clear = [a for a in others if rule.clears(a.least, one.least, state.body.problem.numbers)]
     apart = [a for a in clear if a.family.kind != one.family.kind]
-    return any(one.family.kind != "static" or not does_the_same(a, one, ranking, state) for a in apart)
+    return any(one.family.kind != "static" or not acceptance.does_the_same(a, one, ranking, state) for a in apart)
+
+
+def _static_alone(one: Answer, others: Sequence[Answer], ranking: Ranking, state: State) -> bool:
+    """Whether a family that is not static does here only what a static map does, and a static family is near."""
+    static = [a for a in others if a.family.kind == "static"]
+    return one not in static and any(acceptance.does_the_same(one, other, ranking, state) for other in static)
 
 
 def _ordinary_apart(one: Representative, other: Representative, state: State) -> bool:
@@ -259,14 +250,14 @@ def _miswired(ranking: Ranking, state: State, fits: Fits) -> Step | None:
     They are asked for only where the model is off by a good part of the motion.
     """
     record = state.body.record
-    off, motion = record.rms_mm(state.residual), motion_mm(record)
+    off, motion = record.rms_mm(state.residual), acceptance.motion_mm(record)
     if "servo_swap" not in fits.candidates or off < rule.MISWIRED * motion or not ranking.rows:
         return None
     law = law_of(state, fits, ("servo_swap",), ranking.found)
     best = ranking.rows[0]
-    if law.loss.sum() > best.loss.sum() + rule.FORM * (ranking.found.sum() - best.loss.sum()):
+    if law.left > best.left + rule.FORM * (float(ranking.found.sum()) - best.left):
         return None
-    family = Family("wiring", "static", "Servos are exchanged or turn the other way.", ("servo_swap",), (), (), ())
+    family = Family("wiring", "static", ("servo_swap",))
     stand_in = _stand_in(family, law, fits)
     return Step(Answer(family, stand_in, ranking.found, law, (), False, (law,), (law,)), ())
 
@@ -290,7 +281,7 @@ def _best_law(family: Family, ranking: Ranking, state: State, fits: Fits) -> Law
 def _by_law(row: Representative, ranking: Ranking, state: State, fits: Fits) -> Representative:
     """Return a family with its best single law in the place of its representative, where that leaves less."""
     best = _best_law(row.family, ranking, state, fits)
-    if best is None or best.fit is None or best.loss.sum() >= row.loss.sum():
+    if best is None or best.fit is None or best.left >= row.left:
         return row
     moved = state.body.record.rms_mm(fits.displacement(best.fit, best.effects[0]))
     return replace(row, loss=best.loss, numbers=best.numbers, moved_mm=moved)

@@ -1,16 +1,23 @@
-"""The experiment that separates two families of effects: it varies what only one of them depends on.
+"""What to record next: the experiment that separates two families, and the blocks that settle what is open.
 
-Each family declares its own (`rust/families/`). Of two families, that of the more special input is taken: a declared
-condition, then time, then the history of the commands; of one kind the family that is declared later. So delay and
-play are separated by two speeds, creep and time by a repeat after a rest, a load and the shape at rest by two
-orientations. Pinned by tests/test_separate.py.
+Each family declares an experiment (`rust/families/`), which varies what only this family depends on. Of two families,
+the one of the more special input is varied: a declared condition before time, time before the history of the commands.
+Of two families of one kind it is the one declared later. So two speeds separate delay from play, a repeat after a rest
+separates creep from time, and two orientations separate a load from the shape at rest.
+Pinned by tests/test_separate.py.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping, Sequence
+from typing import Any
 
-from softmap_edge.diagnosis.families import Family, families
+from softmap_edge.diagnosis.evidence import experiment
+from softmap_edge.diagnosis.families import families, home
+from softmap_edge.diagnosis.findings import Alternative, FamilyFinding, Finding, NextBlock, Untestable
+from softmap_edge.diagnosis.wording import OwnMisfit
+
+Registry = Mapping[str, dict[str, Any]]
 
 SPECIAL = ("static", "memory", "time", "condition")  # kinds of input; a later one is varied by itself more easily
 
@@ -29,5 +36,54 @@ def separating(one: str, other: str) -> tuple[str, float] | None:
 
 def families_of(effects: Collection[str]) -> tuple[str, ...]:
     """Return the families that effects belong to, the first of each."""
-    found = [next((f for f in families() if e in f.members), None) for e in effects]
-    return tuple(dict.fromkeys(f.name for f in found if isinstance(f, Family)))
+    return tuple(dict.fromkeys(family.name for e in effects if (family := home(e)) is not None))
+
+
+def mended(faults: Sequence[Finding]) -> list[NextBlock]:
+    """Return what to correct by hand before anything is recorded."""
+    block = "correct the wiring, or the columns and signs in the mapping, and diagnose again: {}"
+    cases = {f.name: p.meaning for f in faults for p in f.params.values() if p.meaning}
+    return [NextBlock(block.format(case), 2.0, (name,)) for name, case in cases.items()]
+
+
+def refits(own: OwnMisfit | None) -> list[NextBlock]:
+    """Return what to do first where the model's own effects do not fit."""
+    return [] if own is None else [NextBlock("`softmap refit` on this run, then diagnose again", 0.0, own.names)]
+
+
+def next_blocks(
+    alternatives: Sequence[Alternative],
+    hidden: Sequence[Untestable],
+    registry: Registry,
+    named: Sequence[str],
+    found: Sequence[FamilyFinding] = (),
+) -> list[NextBlock]:
+    """Return the blocks that would settle what is open: between families first, then between laws.
+
+    The separation is simulated by `softmap next`.
+    """
+    blocks: dict[str, tuple[float, list[str]]] = {}
+
+    def add(block: str, minutes: float, names: Sequence[str]) -> None:
+        settles = blocks.setdefault(block, (minutes, []))[1]
+        settles += [n for n in dict.fromkeys(names) if n and n not in settles]
+
+    for pair in _near_families(found, alternatives):
+        if (block := separating(*pair)) is not None:
+            add(*block, pair)
+    for one in alternatives:
+        other = next((e for e in one.effects if e not in named), one.member)
+        asked = one.member or other
+        if asked in registry:
+            add(*experiment(registry, asked), (one.member, other))
+    for item in hidden:
+        add(item.experiment, item.minutes, (item.name,))
+    return [NextBlock(block, minutes, tuple(settles)) for block, (minutes, settles) in blocks.items()]
+
+
+def _near_families(found: Sequence[FamilyFinding], alternatives: Sequence[Alternative]) -> list[tuple[str, str]]:
+    """Return each family that was detected with each that cannot be distinguished from it."""
+    own = {effect: family.name for family in found for effect in family.effects}
+    pairs = [(family.name, other) for family in found for other in family.alternatives]
+    pairs += [(own[one.member], one.family) for one in alternatives if one.family and one.member in own]
+    return [pair for pair in dict.fromkeys(pairs) if pair[0] != pair[1]]

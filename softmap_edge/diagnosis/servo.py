@@ -1,4 +1,4 @@
-"""The servo told apart from the tendon: what lies between command and encoder, where a run has both.
+"""Effects of the servo, apart from those of the tendon: what lies between command and encoder, where a run has both.
 
 Each channel is a model of its own whose shape is the command itself, so the same search that looks for what the robot
 lacks finds what the servo does: command → chain of command effects → encoder. A delay that is found here is the
@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge import _core
-from softmap_edge.diagnosis.conclusion import parameters
 from softmap_edge.diagnosis.findings import ServoEffect, ServoError, ServoFinding
 from softmap_edge.diagnosis.fit import Problem
+from softmap_edge.diagnosis.fitted import parameters
 from softmap_edge.diagnosis.noise import command_kernel, estimate_noise, form_covariance, whitener
 from softmap_edge.diagnosis.record import Record
 from softmap_edge.diagnosis.search import search
@@ -58,7 +58,7 @@ class Servo:
         return FeatureMap(np.eye(1), np.ones(1, bool), np.arange(1))
 
     def run_form_error(self, run: Run) -> Floats:
-        """Return what an encoder cannot tell, (1, 3)."""
+        """Return the resolution of the encoder, (1, 3)."""
         return np.array([[self.step, 0.0, 0.0]])
 
     def run_leaning(self, run: Run) -> Floats:

@@ -1,14 +1,15 @@
 """Find frames and points of a run that are no measurement, and set them aside before a fit, each with a remark.
 
-    late      seen when no command is known: outside the record of the commands, or in a gap of it that hides a move
-    repeated  a picture equal to the one before, bit for bit, from a camera that hangs: it repeats itself while the
-              commands move, and then jumps to where the body is; after a plateau of a play the body continues from
-                  there
-    clipped   a coordinate exactly at the border of a picture or a box, for several poses: taken as not seen
-    astray    a point far from its prediction in this frame, but not in the neighbouring ones: taken as not seen
+    dark      a frame without a visible point
+    late      a frame outside the record of the commands, or in a gap of it during which the commands move
+    untaught  a frame whose commands are unlike all that the model was learned from
+    repeated  a frame equal to the one before, bit for bit, although the commands move: the camera hangs
+    unsteady  a frame in which the points jump while nothing is commanded
+    clipped   a coordinate exactly at the border of a picture or a box, in several poses: the point counts as not seen
+    astray    a point far from its prediction in this frame only: it counts as not seen
 
-A body that rests in a play, and a model without noise, repeat themselves too. So nothing is set aside if no still pair
-of frames differs.
+A body that rests in a play repeats itself too, and so does a model without noise. A camera that hangs jumps to the body
+afterwards, while a body in a play continues from where it was. Nothing is set aside if no still pair of frames differs.
 Limits: two wrong frames in a row that agree are kept; a border that fewer than 3 % of the frames touch is not found.
 Units: mm, s. Pinned by tests/test_bad_runs.py.
 """
@@ -280,9 +281,9 @@ def _unsteady(run: Run, u: Floats, seen: Floats, visible: Mask) -> tuple[Mask, s
         return none, ""
     if usual > UNSTEADY * moved:
         return none, (
-            f"while nothing is commanded the points scatter by {usual:.3g} mm RMS, {100 * usual / moved:.0f} % of what "
-            "they move at all, which counts as noise and hides what is smaller: does the robot go on moving for long, "
-            "are frames late or out of order, do its mount or the cameras shake?"
+            f"while nothing is commanded the points scatter by {usual:.3g} mm RMS, {100 * usual / moved:.0f} % of all "
+            "their motion; this counts as noise and hides smaller effects. Look for a robot that settles slowly, for "
+            "frames that are late or out of order, and for a mount or a camera that shakes"
         )
     wild = [rows for rows, mm in zip(dwells, scatter) if mm > max(UNSTEADY_TIMES * usual, UNSTEADY * moved)]
     if not wild or len(wild) > UNSTEADY_MOST * len(dwells):

@@ -24,9 +24,9 @@ if TYPE_CHECKING:
     from softmap_edge.model import Model
     from softmap_edge.run import Run
 
-WHY = "the run taught the model: what was static in the robot then is in the static map"
-LATER = "the same moves after the change, in a run that the model was not learned from", 4.0
-BENT = "the static map was learned with the memory in the robot, so it is solved again here"
+WHY = "the model was learned from this run, so its static map contains what was static in the robot then"
+LATER = "the same moves after the change, in a run that takes no part in learning", 4.0
+BENT = "the static map was learned while the memory acted, so it is fitted again here"
 AGAIN = "`softmap learn` without --static: the memory has bent the static map, so the numbers found here are biased"
 
 

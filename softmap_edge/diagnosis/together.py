@@ -13,19 +13,10 @@ from itertools import chain
 import numpy as np
 from numpy.typing import NDArray
 
+from softmap_edge.diagnosis import acceptance
 from softmap_edge.diagnosis import decision as rule
-from softmap_edge.diagnosis.acceptance import (
-    ASKED,
-    BACKGROUND,
-    MOST,
-    exceeds_model_error,
-    falls_on,
-    indistinct,
-    one_pose,
-    ordinary_level,
-)
 from softmap_edge.diagnosis.decision import near
-from softmap_edge.diagnosis.families import Body, Family, Ranking, Representative, State, families, ranked
+from softmap_edge.diagnosis.families import Body, Family, Ranking, Representative, State, families, home, ranked
 from softmap_edge.diagnosis.fits import Fits
 from softmap_edge.diagnosis.laws import WINDING, Answer, Law, answered, law_of, winds
 from softmap_edge.diagnosis.outcome import Outcome, Step, held_out_loss
@@ -52,19 +43,19 @@ def completed(outcome: Outcome, more: More, visible: float) -> Outcome:
     """
     few, tried = _few_laws(outcome), []
     if outcome.steps:
-        several = not one_pose(outcome.body) and outcome.steps[0].family.name != "wiring"
+        several = not acceptance.one_pose(outcome.body) and outcome.steps[0].family.name != "wiring"
         for laws in few if several and _left_with_imperfections(outcome) > rule.LEFT else ():
             tried.append(laws)
             found = _explained(laws, outcome, more, visible)
             if found is not None:
                 return found
-        more(outcome, MOST)
+        more(outcome, acceptance.MOST)
     return _reconsidered(outcome, chain(tried, few), more, visible)
 
 
 def _left_with_imperfections(outcome: Outcome) -> float:
     """Return the unexplained share if the families of ordinary imperfections explain what they can."""
-    background = [family for family in families() if family.name in BACKGROUND]
+    background = [family for family in families() if family.name in acceptance.BACKGROUND]
     other = replace(outcome, state=State(outcome.body, outcome.fit, outcome.state.beside, background))
     other.loss = held_out_loss(other)
     return other.left
@@ -77,15 +68,15 @@ def _explained(laws: Law, outcome: Outcome, more: More, visible: float) -> Outco
     what other families do. Else families are asked one by one first.
     """
     body, ordinary_mm = outcome.body, outcome.body.ordinary_mm
-    first, homes = outcome.steps[0].family, {_home(name) for name in laws.effects}
-    if first not in homes or any(family.kind == "time" for family in homes - {first}):
+    first, homes = outcome.steps[0].family, {home(name) for name in laws.effects}
+    if first not in homes or any(family is not None and family.kind == "time" for family in homes - {first}):
         return None
     assert laws.fit is not None
     if _left_with_imperfections(replace(outcome, state=State(body, laws.fit), steps=[])) > rule.LEFT:
         return None
     other = _confirmed(laws, outcome, visible, True)
     if other is not None:
-        more(other, MOST)
+        more(other, acceptance.MOST)
         other.loss = held_out_loss(other)
         if not other.open and other.left <= rule.LEFT:
             return _with_others(other, outcome)
@@ -95,9 +86,13 @@ def _explained(laws: Law, outcome: Outcome, more: More, visible: float) -> Outco
 
 def _reconsidered(outcome: Outcome, few: Iterable[Law], more: More, visible: float) -> Outcome:
     """Return what a `few` laws at once explain, if that replaces what was found family by family."""
-    steps, rod = outcome.steps, outcome.body.record.model.kind == "rod"
-    hinted = bool(steps) or (rod and outcome.hint is not None)  # against a rod's own error one family alone is small
-    if not hinted or one_pose(outcome.body) or any(step.family.name == "wiring" for step in steps):
+    steps = outcome.steps
+    hinted = outcome.body.record.error_is_noise and outcome.hint is not None  # one family alone is small against noise
+    if (
+        not (steps or hinted)
+        or acceptance.one_pose(outcome.body)
+        or any(step.family.name == "wiring" for step in steps)
+    ):
         return outcome
     clear = len(steps) == 1 and steps[0].answer.resolved and not steps[0].others
     if clear and outcome.left <= rule.LEFT:
@@ -111,7 +106,7 @@ def _reconsidered(outcome: Outcome, few: Iterable[Law], more: More, visible: flo
             continue
         other.loss = held_out_loss(other)
         stands = _stands_for(other, best)
-        more(other, MOST)
+        more(other, acceptance.MOST)
         other.loss = held_out_loss(other)
         if not stands and not _stands_for(other, best):
             outcome.body.ordinary_mm = ordinary_mm
@@ -134,12 +129,12 @@ def _with_others(other: Outcome, outcome: Outcome) -> Outcome:
         state = State(other.body, other.plain.get(rest, split))
         ranking = ranked(state, [f for f in families() if f not in known or f == step.family], [], PROMISING)
         rows = [row for row in ranking.rows if row.family != step.family]
-        rows = [row for row in rows if near(row.loss, step.answer.loss, ranking.found)][:ASKED]
+        rows = [row for row in rows if near(row.loss, step.answer.loss, ranking.found)][: acceptance.ASKED]
         beside = [answered(state, other.plain, row, ranking.found, pairs=False) for row in rows]
         if len(other.steps) == len(outcome.steps) == 1:
             beside += [a for a in (outcome.steps[0].answer, *outcome.steps[0].others) if a.family != step.family]
         beside = [a for a in beside if a.law is None or a.law.effects != own.effects]
-        others = {a.family: a for a in beside if indistinct(a, step.answer, ranking, state)}
+        others = {a.family: a for a in beside if acceptance.indistinct(a, step.answer, ranking, state)}
         other.steps[i] = Step(step.answer, tuple(others.values()))
     return other
 
@@ -149,7 +144,7 @@ def _stands_for(other: Outcome, outcome: Outcome) -> bool:
 
     What static families explain alone needs no other kind: an event can do much of what a static map does.
     """
-    if falls_on(outcome.loss, other.loss, outcome.body) and other.open <= outcome.open:
+    if acceptance.falls_on(outcome.loss, other.loss, outcome.body) and other.open <= outcome.open:
         return True
     fewer = other.open < outcome.open or (other.open == outcome.open and len(other.steps) < len(outcome.steps))
     kinds, known = ({_kind(step.family) for step in one.steps} for one in (other, outcome))
@@ -190,9 +185,10 @@ def _confirmed(few: Law, outcome: Outcome, visible: float, together: bool) -> Ou
             return None
         moved = body.record.rms_mm(plain.displacement(answer.law.fit, answer.law.effects[0]))
         lasting = answer.family.kind in ("static", "time")  # as ordinary imperfections do, or from some instant on
-        if moved < max(visible, ordinary_level(body) * lasting) or not falls_on(answer.before, answer.law.loss, body):
+        least = max(visible, acceptance.ordinary_level(body) * lasting)
+        if moved < least or not acceptance.falls_on(answer.before, answer.law.loss, body):
             return None
-        if not exceeds_model_error(answer.family, moved, _without_map(body, plain, names)):
+        if not acceptance.exceeds_model_error(answer.family, moved, _without_map(body, plain, names)):
             return None
         other.steps.append(Step(answer, ()))
         # With the others in place, another law of the family may be its law.
@@ -218,18 +214,15 @@ def _reached(answer: Answer, name: str) -> Answer:
 
 def _without_map(body: Body, fits: Fits, names: Collection[str]) -> State:
     """Return the state with the laws that are neither static nor drifts: those change a map, together."""
-    return State(body, fits.get([e for e in names if _home(e).kind not in ("static", "time")]))
-
-
-def _home(effect: str) -> Family:
-    """Return the first family that an effect may be a law of."""
-    return next(f for f in families() if effect in f.members)
+    kinds = {e: family.kind for e in names if (family := home(e)) is not None}
+    return State(body, fits.get([e for e in names if kinds.get(e) not in ("static", "time")]))
 
 
 def _in_place(without: State, fits: Fits, name: str) -> Answer | None:
     """Ask the family of an effect for its law, with all other effects in place."""
-    ranking = ranked(without, [_home(name)], [])
-    if not ranking.rows:
+    family = home(name)
+    ranking = None if family is None else ranked(without, [family], [])
+    if ranking is None or not ranking.rows:
         return None
     return answered(without, fits, ranking.rows[0], ranking.found, pairs=False)
 
@@ -240,21 +233,22 @@ def _few_laws(outcome: Outcome) -> Iterator[Law]:
     null = State(body, fits.null)
     firsts = _best_singles(null, fits, before)
     found: list[tuple[Law, State, Ranking, Representative]] = []
-    for home, first in firsts.items():
+    for known, first in firsts.items():
         assert first.fit is not None
         state = State(body, first.fit)
-        ranking = ranked(state, [f for f in families() if f != home], [], PROMISING)
+        ranking = ranked(state, [f for f in families() if f != known], [], PROMISING)
         found += [(first, state, ranking, row) for row in ranking.rows]
     pairs: dict[frozenset[str], Law] = {}
-    for first, state, ranking, row in sorted(found, key=lambda one: float(one[3].loss.sum()))[:TOGETHER]:
+    for first, state, ranking, row in sorted(found, key=lambda one: one[3].left)[:TOGETHER]:
         if pairs and not near(row.loss, min(pairs.values(), key=lambda law: law.left).loss, before):
             continue  # no law of this family will do more
-        home = _home(first.effects[0])  # pairs of one family belong to its own question
-        names = [n for n in row.family.members if _home(n) != home and frozenset((*first.effects, n)) not in pairs]
+        own = home(first.effects[0])  # pairs of one family belong to its own question
+        names = [n for n in row.family.members if home(n) != own and frozenset((*first.effects, n)) not in pairs]
         for law in _laws_on(state, fits, names, ranking.found):
             pairs[frozenset((*first.effects, *law.effects))] = _joined(first, law)
     one, two = (min(laws, key=lambda law: law.left, default=None) for laws in (firsts.values(), pairs.values()))
-    if two is not None and (MOST < 2 or (one is not None and not falls_on(one.loss, two.loss, body))):
+    alone = one is not None and two is not None and not acceptance.falls_on(one.loss, two.loss, body)
+    if alone or acceptance.MOST < 2:
         two = None
     if two is not None:
         yield two
@@ -274,32 +268,33 @@ def _best_singles(null: State, fits: Fits, before: Floats) -> dict[Family, Law]:
     laws: list[Law] = []
     firsts: dict[Family, Law] = {}
     for row in ranked(null, families(), []).rows:
-        gain, most = total - float(row.loss.sum()), max((law.left for law in firsts.values()), default=0.0)
-        if gain < rule.FALL * total or (len(firsts) == ASKED and rule.DOMINATES * gain < total - most):
+        gain, most = total - row.left, max((law.left for law in firsts.values()), default=0.0)
+        if gain < rule.FALL * total or (len(firsts) == acceptance.ASKED and rule.DOMINATES * gain < total - most):
             break
         known = {name for law in laws for name in law.effects}
         laws += _laws_on(null, fits, [name for name in row.family.members if name not in known], before)
         homes: dict[Family, Law] = {}
         for law in sorted(laws, key=lambda law: law.left):
-            homes.setdefault(_home(law.effects[0]), law)
-        firsts = dict(list(homes.items())[:ASKED])
+            if (family := home(law.effects[0])) is not None:
+                homes.setdefault(family, law)
+        firsts = dict(list(homes.items())[: acceptance.ASKED])
     return firsts
 
 
 def _more_laws(few: Law, body: Body, fits: Fits) -> Law | None:
     """Return a set of laws with the laws of more families that lower its loss enough, or None."""
     found = few
-    while len(found.effects) < MOST:
+    while len(found.effects) < acceptance.MOST:
         assert found.fit is not None
-        state, taken = State(body, found.fit), {_home(name) for name in found.effects}
+        state, taken = State(body, found.fit), {home(name) for name in found.effects}
         ranking = ranked(state, [f for f in families() if f not in taken], [], PROMISING)
         best = found
-        for row in ranking.rows[:ASKED]:
+        for row in ranking.rows[: acceptance.ASKED]:
             if not near(row.loss, best.loss, ranking.found):
                 continue  # no law of this family will do more
-            names = [n for n in row.family.members if _home(n) == row.family]
+            names = [n for n in row.family.members if home(n) == row.family]
             best = min([best, *_laws_on(state, fits, names, ranking.found)], key=lambda law: law.left)
-        if best is found or not falls_on(found.loss, best.loss, body):
+        if best is found or not acceptance.falls_on(found.loss, best.loss, body):
             break
         found = _joined(found, best)
     return None if found is few else found

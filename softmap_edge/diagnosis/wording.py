@@ -18,7 +18,7 @@ from softmap_edge.diagnosis.findings import (
 )
 
 GROSS = 2.0  # times as far as any physics that faults must move the body for them to be the verdict
-UNTESTABLE_SHARE = 1 / 3  # of the candidates that may be untestable before "nothing" becomes "cannot tell"
+UNTESTABLE_SHARE = 1 / 3  # of the candidates that may be untestable before "nothing" becomes "inconclusive"
 LEFT_R2 = 0.12  # from which a condition is named as a predictor of the unexplained error
 
 
@@ -110,10 +110,10 @@ def sentence_of(
         return f"{found if physics else f'The measurement is at fault, not the model: {_names(faults)}'}; {fall}.{lost}"
     names = ", ".join(h.name for h in hidden)
     if verdict == "cannot_tell":
-        return f"Nothing above the floor is seen, and these data could not show {names}.{lost}"
+        return f"No effect exceeds the noise floor. These data cannot show {names}.{lost}"
     stays = f"{error.before:.2f} mm RMS (held out)"
     cannot = f" These data cannot show {names}." if hidden else ""
-    return f"Nothing above the floor: no candidate explains the remaining {stays}.{cannot}{lost}"
+    return f"No effect exceeds the noise floor: no candidate explains the remaining {stays}.{cannot}{lost}"
 
 
 def _found(physics: Sequence[Finding], faults: Sequence[Finding], families: Sequence[FamilyFinding]) -> str:

@@ -217,7 +217,7 @@ class World:
         """Return features (K, F) mm of a record with some effects on top of the model's own."""
         own = tuple(self.model.chain_names)
         layout = record.layout(own + tuple(e for e in effects if e not in own))
-        rest = dict(zip(layout.labels, layout.null)) | dict(zip(record.layout(own).labels, map(float, record.own())))
+        rest = dict(zip(layout.labels, layout.null)) | record.own_values()
         values = np.array([_of(params, label, rest) for label in layout.labels])
         return np.asarray(record.predict(layout.names, values[None])[0])
 

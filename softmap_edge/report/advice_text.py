@@ -1,4 +1,4 @@
-"""What a run can tell, and how effects would show in it, for a terminal. Text only, 100 columns."""
+"""What a run can identify, and how effects would show in it, for a terminal. Text only, 100 columns."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from softmap_edge.report.numbers import folded
 
 
 def advice_lines(words: list[Word]) -> list[str]:
-    """Return the words for a terminal: what can be told, what cannot with its remedy, and the minutes in all."""
-    lines = ["", "From this run one can tell"]
+    """Return the words for a terminal: what can be identified, what cannot with its remedy, and the minutes in all."""
+    lines = ["", "This run can identify"]
     lines += [line for word in words if word.tells for line in folded(f"+ {word.text}", 2, 2)] or ["  nothing yet"]
     poor = [word for word in words if not word.tells]
     if not poor:
         return lines
-    lines += ["", "From this run one cannot tell"]
+    lines += ["", "This run cannot identify"]
     for word in poor:
         time = "" if word.minutes is None else f" ({word.minutes:g} min)"
         lines += [*folded(f"- {word.text}", 2, 2), *folded(f"> {word.remedy}{time}", 6, 2)]

@@ -15,7 +15,8 @@ from softmap_edge.report.in_unit import PLACES, comparison_in_unit, unit_of
 from softmap_edge.report.numbers import BAR, bar, fall, folded, mm, percent
 
 if TYPE_CHECKING:
-    from softmap_edge.diagnosis.comparison import Bin, Comparison
+    from softmap_edge.diagnosis.comparison import Comparison
+    from softmap_edge.diagnosis.findings import Bin
 
 # What each map is called when it stands in a report.
 WHERE = {

@@ -15,7 +15,8 @@ from softmap_edge.output import Output
 from softmap_edge.report.numbers import mm
 
 if TYPE_CHECKING:
-    from softmap_edge.diagnosis.comparison import Bin, Comparison
+    from softmap_edge.diagnosis.comparison import Comparison
+    from softmap_edge.diagnosis.findings import Bin
     from softmap_edge.diagnosis.series import Series
 
 PLACES = "mm"  # the unit of a run of places

@@ -195,9 +195,9 @@ def numbers(data: Data, x: Floats, refits: Floats) -> tuple[Number, ...]:
         partner = int(np.argmax(np.abs(traded[i])))
         note = ""
         if sigma[i] > space.doubt[i]:
-            note = "not told by this run"
+            note = "not identified by this run"
         if abs(traded[i, partner]) > TRADED and sigma[i] > 0.1 * space.doubt[i]:
-            note = f"told only together with {space.labels[partner]}"
+            note = f"identified only together with {space.labels[partner]}"
         found.append(Number(space.labels[i], value, deviation, unit, bool(at_bound[i]), note))
     return tuple(found)
 

@@ -204,7 +204,9 @@ def _notes(seen: Seen, fitted: Fitted, error: float) -> tuple[str, ...]:
         )
     vague = [number.label for number in fitted.numbers if number.note]
     if vague:
-        notes.append(f"this run does not tell {', '.join(vague)}; make them known in robot.toml, or record other moves")
+        notes.append(
+            f"this run does not identify {', '.join(vague)}; make them known in robot.toml, or record other moves"
+        )
     stuck = [number.label for number in fitted.numbers if number.at_bound and number.label != "slack"]
     if stuck:
         notes.append(f"{', '.join(stuck)} went as far as the fit may go; start from better numbers in robot.toml")
