@@ -130,7 +130,12 @@ def diagnose(args: argparse.Namespace) -> int:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `softmap add`."""
-    parser.add_argument("name", metavar="NAME[,NAME]", help="the effects to add")
+    parser.add_argument(
+        "name",
+        nargs="?",
+        metavar="NAME[,NAME]",
+        help="the effects to add; without it all effects that the diagnosis names",
+    )
     parser.add_argument("--from", dest="source", required=True, metavar="FILE", help="a diagnosis, JSON")
     parser.add_argument("--bundle", metavar="DIR", help="the model; the built-in finger without it")
     effects_argument(parser)
@@ -144,7 +149,9 @@ def add(args: argparse.Namespace) -> int:
     check_bundle(args.out, args.force)
     load_own(args)
     model, diagnosis = open_model(args.bundle), Diagnosis.load(args.source)
-    names = _names(args.name)
+    names = [effect.name for effect in diagnosis.effects] if args.name is None else _names(args.name)
+    if not names:
+        raise SoftmapError(f"the diagnosis names no effect (verdict {diagnosis.verdict}), so there is none to add")
     check_hashes(names, diagnosis.made_from.get("python_effects"))
     twice = [n for n in names if n in model.chain_names]
     if twice:

@@ -108,13 +108,17 @@ def conclude(outcome: Outcome, fit: Fit, context: Context) -> dict[str, Any]:
             share = 1.0 - near.left / max(float(outcome.null.sum()), 1e-300)
             hints.append(FamilyFinding(near.family.name, near.family.kind, "unknown", (), share, near.moved_mm))
         families = tuple(sorted(hints, key=lambda one: -one.share)[:1])
-    doubts = [*([str(context.own)] if context.own else []), *at_bounds(findings), *record.doubts, *map(str, changes)]
-    doubts += unconfirmed([*findings, *families])
+    changed = context.own is not None and context.own.after_mm <= error.after
+    doubts = [*at_bounds(findings), *record.doubts, *map(str, changes), *unconfirmed([*findings, *families])]
+    if context.own is not None and not changed:
+        doubts.insert(0, str(context.own))
     is_open = any(s.answer.open for s in standing)
     unsure = any(registry[e]["kind"] != "fault" for a in alternatives for e in a.effects)
+    # What no recording can show with this model is its limit, and not that of the run.
+    recordable, others = (sum(h.minutes > 0.0 for h in every) for every in (hidden, context.impossible))
     verdict = verdict_of(
-        physics or (faults if unsure or is_open else ()), faults, bool(alternatives or doubts or is_open), unknown,
-        bool(families), len(hidden), len(fits.candidates) + len(context.impossible),
+        physics or (faults if unsure or is_open else ()), faults, changed or bool(alternatives or doubts or is_open),
+        unknown, bool(families), recordable, len(fits.candidates) + others,
     )  # fmt: skip
     if verdict == "nothing" and behind:
         verdict, hidden = "cannot_tell", behind
@@ -122,7 +126,8 @@ def conclude(outcome: Outcome, fit: Fit, context: Context) -> dict[str, Any]:
     sentence = sentence_of(verdict, physics, faults, families, alternatives, left, hidden, error, context.demoted, hint)
     return {
         "verdict": verdict,
-        "sentence": sentence
+        "sentence": (f"Refit first: {context.own}. What follows may stand in for that. " if changed else "")
+        + sentence
         + "".join(f" But {doubt}." for doubt in doubts)
         + "".join(f" Moreover, {motion}." for motion in moving)
         + ("" if context.masked is None else f" {context.masked}."),
