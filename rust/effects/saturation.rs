@@ -1,7 +1,8 @@
 //! Saturation: the drive stops at its limits, which the model does not know.
 //!
 //! `x = min(max(u, −below), above)`, mm, without memory, for each channel; a limit of 0 or less is none. The search
-//! begins inside the usual stroke, since a limit beyond all commands has no slope.
+//! begins inside the usual stroke, since a limit beyond all commands has no slope. A drive that pulls to one side only has
+//! its limit at up to two half ranges.
 
 use super::conditions::Context;
 use super::declaration::*;
@@ -35,7 +36,8 @@ pub static EFFECT: Effect = Effect {
                 25.0,
                 "largest shortening that acts; 0 for none",
             )
-            .shared(),
+            .shared()
+            .reaching(Reach::HalfRanges(2.0)),
             Parameter::new(
                 "below",
                 "mm",
@@ -45,7 +47,8 @@ pub static EFFECT: Effect = Effect {
                 25.0,
                 "largest shortening of the other sign that acts; 0 for none",
             )
-            .shared(),
+            .shared()
+            .reaching(Reach::HalfRanges(2.0)),
         ],
     },
     law: Law::Channel(&Saturation),

@@ -28,7 +28,7 @@ const REFERENCE: f64 = 0.3;
 const LATE: [f64; 2] = [30.0, 100.0];
 const CREEP: [f64; 2] = [5.0, 30.0];
 
-/// z, zx, z²x, zx|x|, z², 1, x, pole(z), pole(z)x and z(pole(x) − x), with z = (temperature − mean)/range; mm. The
+/// z, zx, z²x, zx|x|, zx², z², 1, x, pole(z), pole(z)x and z(pole(x) − x), with z = (temperature − mean)/range; mm. The
 /// reference temperature is unknown, hence 1 and x.
 fn columns(series: &Series, channel: usize, emit: Emit) {
     let Some(temperature) = &series.temperature else {
@@ -44,11 +44,12 @@ fn columns(series: &Series, channel: usize, emit: Emit) {
     }
     let mean = temperature.iter().sum::<f64>() / temperature.len() as f64;
     let (x, half) = (&series.x[channel], series.half[channel]);
-    let terms: [fn(f64, f64) -> f64; 7] = [
+    let terms: [fn(f64, f64) -> f64; 8] = [
         |z, _| z,
         |z, x| z * x,
         |z, x| z * z * x,
         |z, x| z * x * x.abs(),
+        |z, x| z * x * x,
         |z, _| z * z,
         |_, _| REFERENCE,
         |_, x| REFERENCE * x,

@@ -23,6 +23,7 @@ from softmap_edge.diagnosis.evidence import (
     leftover,
     not_testable,
 )
+from softmap_edge.diagnosis.families import families
 from softmap_edge.diagnosis.findings import (
     Alternative,
     Certificate,
@@ -86,7 +87,7 @@ def conclude(outcome: Outcome, fit: Fit, context: Context) -> dict[str, Any]:
     if record.remapped:  # the map that is solved again cancels parts of what stands in for a family
         ways = (residual, residual - outcome.state.ordinary, record.seen - fit.predicted)
         residual = min(ways, key=record.rms_mm)
-    left = replace(leftover(problem, residual, len(fit.x)), ordinary_mm=outcome.body.ordinary_mm or None)
+    left = replace(leftover(problem, residual, len(fit.x)), ordinary_mm=_ordinary_mm(outcome) or None)
     behind = [] if context.masked is None else context.masked.untestable(registry)
     hidden = [*behind, *context.impossible]
     hidden += [h for h in not_testable(fits, fit, registry) if h.name not in {b.name for b in hidden}]
@@ -100,30 +101,30 @@ def conclude(outcome: Outcome, fit: Fit, context: Context) -> dict[str, Any]:
     faults = tuple(f for f in findings if registry[f.name]["kind"] == "fault")
     physics = tuple(f for f in findings if registry[f.name]["kind"] != "fault")
     error = _error(outcome, order, context.other)
-    families = tuple(_family(outcome, s, context.proof, changes) for s in standing)
-    families += tuple(replace(_family(outcome, s, None, ()), law="unknown", effects=()) for s in dropped)
-    if unknown and not families:
+    detected = tuple(_family(outcome, s, context.proof, changes) for s in standing)
+    detected += tuple(replace(_family(outcome, s, None, ()), law="unknown", effects=()) for s in dropped)
+    if unknown and not detected:
         hints = _memoryless(record, residual)
         if (near := outcome.hint) is not None:
             share = 1.0 - near.left / max(float(outcome.null.sum()), 1e-300)
             hints.append(FamilyFinding(near.family.name, near.family.kind, "unknown", (), share, near.moved_mm))
-        families = tuple(sorted(hints, key=lambda one: -one.share)[:1])
+        detected = tuple(sorted(hints, key=lambda one: -one.share)[:1])
     changed = context.own is not None and context.own.after_mm <= error.after
-    doubts = [*at_bounds(findings), *record.doubts, *map(str, changes), *unconfirmed([*findings, *families])]
+    doubts = [*at_bounds(findings), *record.doubts, *map(str, changes), *unconfirmed([*findings, *detected])]
     if context.own is not None and not changed:
         doubts.insert(0, str(context.own))
     is_open = any(s.answer.open for s in standing)
-    unsure = any(registry[e]["kind"] != "fault" for a in alternatives for e in a.effects)
+    unsure = _physical(alternatives, registry)
     # What no recording can show with this model is its limit, and not that of the run.
     recordable, others = (sum(h.minutes > 0.0 for h in every) for every in (hidden, context.impossible))
     verdict = verdict_of(
         physics or (faults if unsure or is_open else ()), faults, changed or bool(alternatives or doubts or is_open),
-        unknown, bool(families), recordable, len(fits.candidates) + others,
+        unknown, bool(detected), recordable, len(fits.candidates) + others,
     )  # fmt: skip
     if verdict == "nothing" and behind:
         verdict, hidden = "cannot_tell", behind
     hint = outcome.hint.family.name if outcome.hint is not None else ""
-    sentence = sentence_of(verdict, physics, faults, families, alternatives, left, hidden, error, context.demoted, hint)
+    sentence = sentence_of(verdict, physics, faults, detected, alternatives, left, hidden, error, context.demoted, hint)
     return {
         "verdict": verdict,
         "sentence": (f"Refit first: {context.own}. What follows may stand in for that. " if changed else "")
@@ -133,7 +134,7 @@ def conclude(outcome: Outcome, fit: Fit, context: Context) -> dict[str, Any]:
         + ("" if context.masked is None else f" {context.masked}."),
         "effects": physics,
         "faults": faults,
-        "families": _with_motion(families, moving),
+        "families": _with_motion(detected, moving),
         "alternatives": tuple(alternatives),
         "not_testable": tuple(hidden),
         "where": Where(by_condition(record, record.seen - fits.null.predicted), by_condition(record, residual)),
@@ -143,7 +144,7 @@ def conclude(outcome: Outcome, fit: Fit, context: Context) -> dict[str, Any]:
             *mended(faults),
             *refits(context.own),
             *(NextBlock(*one.experiment, one.effects) for one in changes),
-            *next_blocks(alternatives, hidden, registry, order, families),
+            *next_blocks(alternatives, hidden, registry, order, detected),
         ),
         "made_from": _made_from(outcome, order, context, registry),
     }
@@ -268,6 +269,20 @@ def _probability(
     if step is not None and not step.answer.resolved:
         odds += 1.0 + len(step.answer.reaching)  # each law that fits is as likely, and so is one that was not tried
     return 1.0 / (1.0 + odds)
+
+
+def _physical(alternatives: Sequence[Alternative], registry: Registry) -> bool:
+    """Whether an alternative, or a law of its family, is physics and no fault of the measurement."""
+    members = {family.name: family.members for family in families()}
+    laws = (name for a in alternatives for name in a.effects or members.get(a.family, ()) if name in registry)
+    return any(registry[name]["kind"] != "fault" for name in laws)
+
+
+def _ordinary_mm(outcome: Outcome) -> float:
+    """Return the size of the robot's ordinary static imperfections, mm RMS: what they explain, or else their level."""
+    state = outcome.state
+    explained = state is not state.without_background()
+    return outcome.body.record.rms_mm(state.ordinary) if explained else outcome.body.ordinary_mm
 
 
 def _alternatives(

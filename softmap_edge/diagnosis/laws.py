@@ -37,7 +37,7 @@ Floats = NDArray[np.float64]
 WINDING = "eccentric_pulley"  # whose five numbers make it many smooth maps
 PAIRED = 3  # members of which pairs are tried
 MANY_LAWS = ("static", "time")  # kinds of families that smooth curves of many laws can explain
-GENERIC = ("u|u|", "u³", "u, u|u|", "u, u³", "u, u², u³")  # sums of CURVES, which no effect stands for
+GENERIC = ("u²", "u|u|", "u³", "u, u|u|", "u, u³", "u, u², u³")  # sums of CURVES, which no effect stands for
 GENERIC_RIDGE = 0.3
 
 

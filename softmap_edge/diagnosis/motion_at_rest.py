@@ -29,6 +29,7 @@ SLOWEST, FASTEST = 0.05, 5.0  # Hz
 FREQUENCIES, FINE, CHUNK = 8000, 0.25, 400  # number tried at most, spacing times the duration, number tried at once
 FRAMES = 600  # of dwells, at most, in the search for a line
 CHANCE = 1e-4  # probability of a line in noise, over all frequencies and modes
+SHOWN = 0.1  # of the square of a wave that must be left when the line of each dwell is taken out
 EXCESS = 4.0  # times the variance of noise: scatter along commanded modes above this is motion of the body
 LEAST_MM = 0.12  # mm RMS: smaller motion is ignored
 ENOUGH = 15  # degrees of freedom
@@ -195,11 +196,16 @@ def _detrended(columns: Floats, level: Floats) -> Floats:
 
 
 def _explained(frequency: Floats, t: Floats, values: Floats, level: Floats) -> Floats:
-    """Return the squares (f, b) of values (n, b) that lines at frequencies (f,) explain."""
+    """Return the squares (f, b) of values (n, b) that lines at frequencies (f,) explain.
+
+    None at a frequency of which the frames show too little: at half their rate, or slower than the dwells are long.
+    """
     wave = _detrended(_wave(frequency, t).reshape(len(t), -1), level).reshape(len(t), -1, 2)
-    gram = np.einsum("nfi,nfj->fij", wave, wave) + 1e-9 * len(t) * np.eye(2)
+    gram = np.einsum("nfi,nfj->fij", wave, wave)
+    seen = np.linalg.eigvalsh(gram)[:, 0] > SHOWN * 0.5 * len(t)
     right = np.einsum("nfi,nb->fib", wave, values)
-    return np.asarray(np.sum(right * np.linalg.solve(gram, right), axis=1))
+    share = np.sum(right * np.linalg.solve(gram + 1e-9 * len(t) * np.eye(2), right), axis=1)
+    return np.asarray(np.where(seen[:, None], share, 0.0))
 
 
 def _irregular(scores: _Scores, modes: Floats, positions: Mask, white: Floats) -> tuple[float, Floats] | None:

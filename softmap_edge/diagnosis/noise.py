@@ -216,8 +216,11 @@ def rod_noise(residual: Floats, t_seen: Floats, form_error: Floats, measured: No
         tau = (shift + 1) * period
     own, source = form_error.ravel() ** 2, "the model's own held-out error"
     if repeats is not None:
-        static = np.maximum(np.nanmean(residual**2, axis=0) - repeats.variance, 0.0)
-        own, source = np.minimum(own, static), "the repeatable part of the model's own error"
+        known = np.isfinite(residual)
+        mean = np.where(known, residual, 0.0) ** 2
+        static = np.maximum(mean.sum(axis=0) / np.maximum(known.sum(axis=0), 1) - repeats.variance, 0.0)
+        own = np.where(known.any(axis=0), np.minimum(own, static), own)  # what is never seen has no repeatable part
+        source = "the repeatable part of the model's own error"
     inflation = max(1.0, 2.0 * tau / period)
     fast = float(np.trace(measured.covariance))
     mixed = (fast * measured.inflation + float(own.sum()) * inflation) / (fast + float(own.sum()))

@@ -109,11 +109,14 @@ def sentence_of(
     if verdict == "measurement_fault":
         return f"{found if physics else f'The measurement is at fault, not the model: {_names(faults)}'}; {fall}.{lost}"
     names = ", ".join(h.name for h in hidden)
+    above = "the noise floor"
+    if left.ordinary_mm is not None and left.ordinary_mm > (error.floor or 0.0):
+        above += f" and the ordinary imperfections of a robot ({left.ordinary_mm:.2f} mm RMS, static)"
     if verdict == "cannot_tell":
-        return f"No effect exceeds the noise floor. These data cannot show {names}.{lost}"
+        return f"No effect exceeds {above}. These data cannot show {names}.{lost}"
     stays = f"{error.before:.2f} mm RMS (held out)"
     cannot = f" These data cannot show {names}." if hidden else ""
-    return f"No effect exceeds the noise floor: no candidate explains the remaining {stays}.{cannot}{lost}"
+    return f"No effect exceeds {above}: no candidate explains the remaining {stays}.{cannot}{lost}"
 
 
 def _found(physics: Sequence[Finding], faults: Sequence[Finding], families: Sequence[FamilyFinding]) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
@@ -17,6 +17,7 @@ from softmap_edge.run import Run, Source, known
 from softmap_edge.ticks import commanded_in_ticks
 
 if TYPE_CHECKING:
+    from softmap_edge.output import Output
     from softmap_edge.rod.memory import Memory
 
 Floats = NDArray[np.float64]
@@ -148,7 +149,9 @@ class Fitted:
 
 def observe(runs: Sequence[Run], input: Source | None, hold_out: Sequence[tuple[float, float]], rate_hz: float) -> Seen:
     """Return the frames to learn from; raise RunError where a run lacks markers, commands or motion."""
-    runs = tuple(commanded_in_ticks(run) for run in runs)
+    runs = tuple(_in_scale(commanded_in_ticks(run), runs[0].output) for run in runs)
+    if len({run.hash() for run in runs}) < len(runs):
+        raise RunError("the same run is given twice, and its noise would count as half; give each recording once")
     source: Source = input or ("goal" if any(run.present is None for run in runs) else "present")
     for run in runs:
         if run.markers is None or run.commands(source).shape[1] == 0 or len(run.t) < 2:
@@ -176,6 +179,14 @@ def observe(runs: Sequence[Run], input: Source | None, hold_out: Sequence[tuple[
     return Seen(runs, source, frames, markers, drive)
 
 
+def _in_scale(run: Run, first: Output | None) -> Run:
+    """Return a run of outputs in the scale of the first one, if both are of the same outputs."""
+    own = run.output
+    if own is None or first is None or (own.names, own.unit) != (first.names, first.unit) or run.markers is None:
+        return run
+    return replace(run, markers=own.rescaled(run.markers, first), output=first)
+
+
 def _drive(runs: Sequence[Run], source: Source, frames: Sequence[NDArray[np.intp]]) -> Drive:
     records = [
         Record(np.ascontiguousarray(run.commands(source)), np.ascontiguousarray(run.t), run.t_seen[index])
@@ -191,7 +202,7 @@ def _alike(runs: Sequence[Run], source: Source) -> None:
         for what, one, other in (
             ("commands a row", first.commands(source).shape[1], run.commands(source).shape[1]),
             ("markers", first.seen_points.shape[1], run.seen_points.shape[1]),
-            ("for its outputs", first.output, run.output),
+            ("as its outputs", *(o and f"{', '.join(o.names)} in {o.unit}" for o in (first.output, run.output))),
             ("as the unit of its commands", first.command_unit, run.command_unit),
         ):
             if one != other:
