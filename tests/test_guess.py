@@ -119,6 +119,8 @@ XYZ = [f"m{k}_{axis}" for k in range(3) for axis in "xyz"]
         (["Time [s]", "u1 (mm)", "u2 (mm)"], (1, 8, 1e-3), ['column = "Time [s]", unit = "s"', 'unit = "m", columns']),
         (["stamp", "motor_a", "motor_b"], (1e9, 0.8, 1), ['unit = "ns"', 'command_unit = "rad"']),
         (["t", "goal1", "goal2"], (1, 2000.4, 1), ["goal1"]),
+        (["t", "servo_x_deg", "servo_y_deg"], (1, 60, 1), ['"servo_x_deg", "servo_y_deg"']),
+        (["t", "left_motor_deg", "right_motor_deg"], (1, 60, 1), ['"left_motor_deg", "right_motor_deg"']),
     ],
 )
 def test_names_and_ranges_tell_units(tmp_path, head, scale, words):

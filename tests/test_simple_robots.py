@@ -1,0 +1,180 @@
+"""Robots that are a few lines of kinematics: learned from one log, diagnosed on another.
+
+Nothing here comes from the library: a planar arm of constant curvature, an angle over a pressure, a force over a
+displacement.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from softmap_edge import Run, diagnose, learn_model
+from softmap_edge.errors import RunError
+
+LENGTH, RATE = 110.0, 10.0
+SILENT = ("nothing", "cannot_tell")
+
+
+def moves(seed, seconds, channels=2):
+    """Ramps between random places, some with a rest, in -1 … 1."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(0.0, seconds, 1.0 / RATE)
+    u = np.empty((len(t), channels))
+    for c in range(channels):
+        at, to = [0.0, 3.0], [0.0, 0.0]
+        while at[-1] < seconds:
+            at.append(at[-1] + rng.uniform(0.8, 2.5))
+            to.append(rng.uniform(-1.0, 1.0))
+            if rng.random() < 0.4:
+                at.append(at[-1] + 2.0)
+                to.append(to[-1] if rng.random() < 0.7 else 0.0)
+        u[:, c] = np.interp(t, at, to)
+    return t, u
+
+
+def play(u, gap):
+    out, held = np.empty_like(u), u[0]
+    for k, x in enumerate(u):
+        held = np.clip(held, x - gap / 2, x + gap / 2)
+        out[k] = held
+    return out
+
+
+def arm(u):
+    """Markers (K, 4, 3) mm of an arm that bends by up to 70 deg about either axis, a little less the farther it is."""
+    bend = 1.2 * u * (1.0 - 0.06 * (u**2).sum(axis=1, keepdims=True))
+    angle = np.maximum(np.linalg.norm(bend, axis=1), 1e-9)
+    along, places = bend / angle[:, None], []
+    for s in (0.25, 0.5, 0.75, 1.0):
+        side, up = LENGTH / angle * (1.0 - np.cos(s * angle)), LENGTH / angle * np.sin(s * angle)
+        places.append(np.column_stack([side[:, None] * along, up]))
+    return np.stack(places, axis=1)
+
+
+def arm_run(seed, change=lambda u: u, seconds=90.0, points=slice(None), more=lambda p: p):
+    """A run in degrees of two servos, ±50; `change` acts on the commands, `more` on the markers."""
+    t, u = moves(seed, seconds)
+    seen = (
+        more(arm(change(u)))[:, points] + 0.1 * np.random.default_rng(seed + 99).normal(size=(len(t), 4, 3))[:, points]
+    )
+    return Run(t, 50.0 * u, t, command_unit="deg", markers=seen, robot="arm", gravity=np.array([0.0, 0.0, 1.0]))
+
+
+def pressure_run(seed, change, reach=100.0, seconds=60.0):
+    """Degrees over a pressure of 0 … `reach` kPa."""
+    t, u = moves(seed, seconds, 1)
+    x = 0.5 * reach * (u + 1.0)
+    angle = 0.4 * change(x) + 1e-5 * change(x) ** 3
+    noise = 0.05 * np.random.default_rng(seed + 99).normal(size=angle.shape)
+    return Run.of_outputs(angle + noise, "deg", t=t, command=x, command_unit="kPa", t_seen=t)
+
+
+@pytest.fixture(scope="module")
+def learned():
+    return learn_model(arm_run(1, seconds=150.0))
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        dict(change=lambda u: 1.008 * u + [0.006, -0.004]),
+        dict(change=lambda u: u + 0.01),
+        dict(more=lambda p: p + [0.25, -0.2, 0.1]),
+        dict(change=lambda u: 0.99 * u, more=lambda p: p + [0.0, 0.2, 0.0]),
+    ],
+)
+def test_what_differs_from_day_to_day_is_no_discovery(learned, change):
+    """A learned map has no error of its own, so 1 % of the motion is seen clearly; it is still ordinary."""
+    found = diagnose(learned, arm_run(2, **change))
+    assert found.verdict in SILENT and not found.effects and not found.faults and not found.families
+    assert found.error.before > 2.0 * found.error.floor and "ordinary imperfections" in found.sentence
+    assert found.unexplained.ordinary_mm > 0.1
+
+
+@pytest.mark.parametrize(
+    ("names", "change"),
+    [
+        (["gain"], lambda u: 0.92 * u),
+        (["offset"], lambda u: u + [0.1, -0.1]),
+        (["saturation"], lambda u: np.clip(u, -0.8, 0.8)),
+    ],
+)
+def test_a_static_effect_beyond_that_is_named_first(learned, names, change):
+    found = diagnose(learned, arm_run(3, change))
+    assert [effect.name for effect in found.effects[:1]] == names and found.families[0].kind == "static"
+
+
+def test_a_gain_of_one_channel_is_no_hysteresis():
+    """Triangles of one channel: a hysteresis whose reach is beyond the range is a gain."""
+    run = pressure_run(5, lambda x: 1.08 * x)
+    found = diagnose(learn_model(pressure_run(4, lambda x: x)), run)
+    assert found.families[0].kind == "static" and "hysteresis" not in [e.name for e in found.effects]
+
+
+def test_a_parabola_is_no_asymmetry(learned):
+    found = diagnose(learned, arm_run(6, lambda u: u + 0.12 * u**2))
+    assert found.families[0].name == "static map" and found.verdict != "identified"
+
+
+def test_play_in_one_servo_is_identified(learned):
+    found = diagnose(learned, arm_run(7, lambda u: np.column_stack([u[:, 0], play(u[:, 1], 0.16)])))
+    assert found.verdict == "identified" and [effect.name for effect in found.effects] == ["backlash"]
+    gaps = found.effects[0].params
+    assert gaps["backlash.gap[1]"].value == pytest.approx(8.0, rel=0.05) and not gaps["backlash.gap[0]"].at_bound
+
+
+def both(first, second):
+    return lambda u: np.column_stack([play(u[:, 0], first), play(u[:, 1], second)])
+
+
+def test_play_in_one_servo_is_learned_as_identified_and_refit_comes_first_when_it_changes():
+    model = learn_model(arm_run(8, both(0.0, 0.12), seconds=150.0))
+    (law,) = model.learned_in
+    none, gap = law.params
+    assert (law.name, law.law) == ("backlash", "identified") and not none.at_bound
+    assert gap.value == pytest.approx(6.0, rel=0.05) and none.sigma >= none.value
+    same = diagnose(model, arm_run(9, both(0.0, 0.12)))
+    assert same.verdict == "nothing" and not same.effects  # a limit of the model is none of the data
+    changed = diagnose(model, arm_run(10, both(0.0, 0.24)))
+    assert changed.sentence.startswith("Refit first: the model's own backlash") and changed.verdict == "ambiguous"
+
+
+def test_one_marker_at_the_tip_need_not_stand_where_it_stood():
+    tip = learn_model(arm_run(11, points=slice(3, 4), seconds=150.0))
+    found = diagnose(tip, arm_run(12, points=slice(3, 4), more=lambda p: p + [0.8, 0.0, 0.0]))
+    assert found.verdict not in ("identified", "measurement_fault")
+    with pytest.raises(RunError, match="turned by .* and shifted by"):
+        diagnose(tip, arm_run(12, points=slice(3, 4), more=lambda p: p + [90.0, 0.0, 0.0]))
+
+
+def test_a_marker_that_is_never_seen_says_nothing(learned):
+    run = arm_run(7, lambda u: np.column_stack([play(u[:, 0], 0.16), u[:, 1]]))
+    seen = np.ones((run.frames, 4), bool)
+    seen[:, 1] = False
+    found = diagnose(learned, replace(run, visible=seen))
+    assert [effect.name for effect in found.effects] == ["backlash"]
+
+
+def test_a_limit_near_the_end_of_a_drive_that_pulls_only_is_found():
+    found = diagnose(learn_model(pressure_run(13, lambda x: x)), pressure_run(14, lambda x: np.minimum(x, 88.0)))
+    assert [effect.name for effect in found.effects] == ["saturation"]
+    assert found.effects[0].params["saturation.above"].value == pytest.approx(88.0, rel=0.01)
+
+
+def test_logs_of_one_output_with_other_ranges_are_learned_together():
+    runs = [pressure_run(15, lambda x: x), pressure_run(16, lambda x: x, reach=70.0)]
+    assert runs[0].output != runs[1].output
+    model = learn_model(runs)
+    assert model.output == runs[0].output
+    assert diagnose(model, pressure_run(17, lambda x: x)).verdict in SILENT
+    with pytest.raises(RunError, match="run 2 has angle in rad as its outputs, the first run output 1 in deg"):
+        other = Run.of_outputs(runs[1].output.values(runs[1].markers), "rad", ("angle",), t=runs[1].t,
+                               command=runs[1].command, command_unit="kPa", t_seen=runs[1].t)  # fmt: skip
+        learn_model([runs[0], other])
+
+
+def test_a_recording_given_twice_teaches_nothing_more():
+    run = pressure_run(15, lambda x: x)
+    with pytest.raises(RunError, match="given twice"):
+        learn_model([run, run])
