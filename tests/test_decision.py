@@ -261,6 +261,7 @@ def is_discovery(static_mm):
     record = SimpleNamespace(seen=np.array([[10.0], [-10.0]]), frame_mm=0.0, rms_mm=lambda x: np.sqrt(np.mean(x**2)))
     level = SimpleNamespace(close=lambda _: None)
     body = SimpleNamespace(record=record, candidates=[], curves=lambda *_: {}, level=lambda: level, modes=lambda x: x)
+    body.free_map = False
     state = SimpleNamespace(body=body, commands=None, slopes=None, residual=np.zeros((2, 1)))
     ranking = SimpleNamespace(static=np.full((2, 1), static_mm), rows=[])
     body.ordinary_mm = acceptance.ordinary(state, ranking, [])

@@ -75,7 +75,7 @@ def _one_by_one(outcome: Outcome, most: int, tell: Callable[[str], None], visibl
         before, taken = outcome.state, [step.family for step in outcome.steps]
         state = before.without_background()
         ranking = ranked(state, every, taken)
-        if body.free_map or not body.record.error_is_noise:
+        if body.free_map or not body.record.error_is_noise:  # a rod of known tendons has no level of its own
             body.ordinary_mm = acceptance.ordinary(state, ranking, every)
         ordinary = acceptance.is_ordinary(ranking, state)
         if ordinary or (state is not before and not acceptance.beyond_ordinary(ranking, state)):
