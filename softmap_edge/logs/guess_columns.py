@@ -219,7 +219,7 @@ def roles_of(sheet: Sheet, spent: set[str]) -> list[Role]:
     for name in sheet.names:
         if name not in spent and name not in sheet.texts and np.isfinite(sheet.column(name)).any():
             stem = re.sub(r"\[[^\]]*\]$", "[#]", name) if sheet.topic else name
-            stem = re.sub(r"_([a-dx-z]|left|right|up|down)(?=_|$)", "_#", re.sub(r"\d+", "#", stem.lower()))
+            stem = re.sub(r"(^|_)([a-dx-z]|left|right|up|down)(?=_|$)", "_#", re.sub(r"\d+", "#", stem.lower()))
             groups.setdefault(stem, []).append(name)
     roles: list[tuple[int, Role]] = []
     for stem, names in groups.items():
