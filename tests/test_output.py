@@ -134,7 +134,7 @@ def test_diagnose_runs_and_speaks_of_the_output(damper: Path) -> None:
 def test_without_time_no_delay_or_rate_is_looked_for(damper: Path) -> None:
     model, run = load_bundle(damper / "model"), Run.load(damper / "fit.npz")
     found = diagnose(model, run)
-    timed = {"latency", "lag", "rate_limit", "creep", "tendon_creep", "clock_shift"}
+    timed = {"latency", "lag", "rate_limit", "creep", "tendon_creep", "zero_drift", "clock_shift"}
     why = {row.name: row.why for row in found.not_testable}
     assert {name for name in timed if "no time" in why.get(name, "")} == timed
     assert not timed & {row.name for row in found.effects}

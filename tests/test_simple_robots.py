@@ -178,3 +178,19 @@ def test_a_recording_given_twice_teaches_nothing_more():
     run = pressure_run(15, lambda x: x)
     with pytest.raises(RunError, match="given twice"):
         learn_model([run, run])
+
+
+def test_a_zero_that_drifts_is_no_fault_of_the_camera(learned):
+    """Steadily, by a tenth of the half range in all: neither a camera that moves nor a slip is named first."""
+    found = diagnose(learned, arm_run(18, lambda u: u + np.linspace(0.0, 0.15, len(u))[:, None] * [1.0, -1.0]))
+    assert [effect.name for effect in found.effects] == ["zero_drift"] and not found.faults
+    rates = [found.effects[0].params[f"zero_drift.rate[{c}]"].value for c in (0, 1)]
+    assert rates == pytest.approx([5.0, -5.0], rel=0.06)  # deg/min
+
+
+def test_a_camera_that_is_hit_is_no_slip_of_a_tendon(learned):
+    """At one instant, with the base: no law of the library, but of the frame."""
+    run = arm_run(19)
+    hit = run.markers + np.where(run.t_seen > 50.0, 1.0, 0.0)[:, None, None] * [2.5, -1.5, 1.0]
+    found = diagnose(learned, replace(run, markers=hit))
+    assert found.families[0].name == "frame drift" and not found.effects

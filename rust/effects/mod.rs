@@ -41,6 +41,7 @@ registry! {
     dead_zone
     tendon_creep
     anchor_slip
+    zero_drift
     hysteresis
     creep
     mullins

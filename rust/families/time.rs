@@ -20,7 +20,7 @@ pub static FAMILY: Family = Family {
         "load",
         "frame drift",
     ],
-    members: &["tendon_creep"],
+    members: &["zero_drift", "tendon_creep"],
     columns: Some(columns),
     signals: Some(signals),
     ..NOTHING

@@ -1,0 +1,57 @@
+//! Zero drift: the zero of a channel moves steadily during the run, as of a tendon that creeps through its knot.
+//!
+//! `x = u + rate·m`, mm, `rate` in mm/min per channel, `m` the minutes since the first sample. No memory of the commands.
+//! Limit: steady; a drift that ends is a `tendon_creep`, and one that comes at once an `anchor_slip`.
+
+use super::conditions::Context;
+use super::declaration::*;
+
+pub static EFFECT: Effect = Effect {
+    declaration: Declaration {
+        name: "zero_drift",
+        family: "slow drift",
+        stage: Stage::Transmission,
+        kind: Kind::Effect,
+        formula: "x = u + rate · m,  m minutes since the first sample",
+        doc: "The zero of a channel moves steadily: a tendon slides through its knot, a servo loses steps, a cable settles.",
+        signature: "An offset of the channel that grows with time from nothing, whatever is commanded; the base stays in place.",
+        reference: "Linear drift, the first term of a drift in time.",
+        experiment: ("home at the start, in between and at the end", 0.5),
+        alike: &[],
+        needs: &[],
+        parameters: &[Parameter::new(
+            "rate",
+            "mm/min",
+            0.0,
+            0.2,
+            -2.0,
+            2.0,
+            "shortening that is added to the command each minute",
+        )
+        .per_channel()],
+    },
+    law: Law::Channel(&ZeroDrift),
+};
+
+struct ZeroDrift;
+
+impl ChannelEffect for ZeroDrift {
+    /// Whether a sample was seen, and the time of the first.
+    fn state_size(&self, _channels: usize) -> usize {
+        2
+    }
+
+    fn settle(&self, _params: &[f64], _x: &mut [f64], state: &mut [f64]) {
+        state.fill(0.0);
+    }
+
+    fn step(&self, params: &[f64], x: &mut [f64], state: &mut [f64], context: &Context) {
+        if state[0] == 0.0 {
+            state.copy_from_slice(&[1.0, context.t]);
+        }
+        let minutes = (context.t - state[1]) / 60.0;
+        x.iter_mut()
+            .zip(params)
+            .for_each(|(x, rate)| *x += rate * minutes);
+    }
+}
