@@ -147,7 +147,9 @@ def _answered(args: argparse.Namespace, model: Any) -> tuple[Any, list[Any], lis
     setting = Setting.after(runs, model.gravity_reference)
     made = plan(chosen(names), limits, setting, args.seed) if names else None
     times = 1 if diagnosis.made_from.get("reference") is None else 2
-    return made, found, progress_lines(before or None, diagnosis.to_dict()), times
+    lines = progress_lines(before or None, diagnosis.to_dict())
+    lines += [f"First, without a recording: {b.block}" for b in diagnosis.next if b.block.startswith("`softmap refit`")]
+    return made, found, lines, times
 
 
 def _played(args: argparse.Namespace, model: Any) -> str:

@@ -127,7 +127,7 @@ class World:
                 apart = 0.0
                 if self._resolvable(question, changes):
                     apart = min(self._apart(problem, [*parts, new], a, b) for a, b in ways)
-            elif question.hidden not in self.names:
+            elif question.hidden not in self.names or not self._shows(question.hidden, changes):
                 apart = 0.0
             elif self.declared(question.hidden):
                 apart = both.left(question.hidden) - self._hidden_before(question.hidden)
@@ -150,6 +150,11 @@ class World:
             return True
         by = self.registry[mine[0]]["alike"].get(theirs[0]) or self.registry[theirs[0]]["alike"].get(mine[0])
         return by is None or by == changes
+
+    def _shows(self, name: str, changes: str) -> bool:
+        """Whether a block that `changes` a condition can show an effect which needs another orientation to be distinct."""
+        by = set(self.registry[name]["alike"].values())
+        return by != {"orientation"} or changes == "orientation"
 
     def _apart(self, problem: Problem, parts: list[Record], true: tuple[str, ...], tried: tuple[str, ...]) -> float:
         """Return by how much more `tried` is wrong with the block than without it, where `true` holds."""
@@ -289,7 +294,8 @@ def _questions(diagnosis: Diagnosis, found: tuple[str, ...], own: tuple[str, ...
         effects = alternative.effects
         if set(effects) != set(found) and not set(effects) & set(own):  # a refit of the model's own needs no experiment
             asked.append(Question(found, effects, families=_between(diagnosis, alternative)))
-    asked += [Question(found, found, row.name) for row in diagnosis.not_testable if row.name not in found]
+    recordable = [row.name for row in diagnosis.not_testable if row.minutes > 0.0]  # others are limits of the model
+    asked += [Question(found, found, name) for name in recordable if name not in found]
     return list(dict.fromkeys(asked))
 
 
