@@ -91,7 +91,7 @@ def test_what_the_motion_cannot_tell_is_said_with_a_remedy(command, about, words
         ({"gravity": np.array([0.0, 0, 1])}, "orientation", "in one orientation"),
         ({"temperature": None}, "temperature", "no temperature is logged"),
         ({"temperature": 21.0}, "temperature", "changes by 0.0 °C only"),
-        ({"temperature": np.linspace(20, 26, len(standard_protocol().t))}, "temperature", "from drift over time"),
+        ({"temperature": np.linspace(20, 26, len(standard_protocol().t))}, "temperature", "vs. drift over time"),
         ({"marker_rest": np.arange(12)[:, None] * [0.0, 0.1, 10]}, "markers", "lie on one line"),
     ],
 )
@@ -103,7 +103,7 @@ def test_what_was_not_declared_or_seen_is_said(change, about, words):
 def test_few_frames_and_one_marker_are_said():
     run = full()
     assert "5 frames are too few" in answers(run.at(np.arange(5)))["frames"]["text"]
-    assert "30 frames leave few" in answers(run.at(np.arange(30)))["frames"]["text"]
+    assert "30 frames leave too few" in answers(run.at(np.arange(30)))["frames"]["text"]
     tip = full(markers=run.markers[:, :1], marker_rest=run.marker_rest[:1])
     assert "one marker is seen" in answers(tip)["markers"]["text"]
 
@@ -152,12 +152,12 @@ def test_check_and_diagnosis_agree_on_a_noise_that_is_declared_alone():
     p = standard_protocol()
     run = full(command=triangle(p.t), sigma=np.array(0.3))
     word = answers(run)["noise"]
-    assert (
-        not word["tells"] and "only guessed; the 0.3 mm a coordinate that a run declares are not taken" in word["text"]
-    )
+    assert not word["tells"] and "to estimate the noise; the declared 0.3 mm per coordinate is not used" in word["text"]
     assert any(word["text"] in remark for remark in asked([full(), run], 400, False))
     assert "declares" not in answers(replace(run, sigma=None))["noise"]["text"]
-    assert "only guessed" not in str(asked([run], 400, True)) and answers(full(sigma=np.array(0.3)))["noise"]["tells"]
+    assert (
+        "too few repeated" not in str(asked([run], 400, True)) and answers(full(sigma=np.array(0.3)))["noise"]["tells"]
+    )
 
 
 def test_orientations_count_where_something_is_seen():

@@ -131,7 +131,7 @@ def test_the_judge_is_relative_to_a_reference_of_its_own_commands():
     assert error.before > 1.0 and error.after < 0.15  # 0.05 a coordinate
     raw = diagnose(Arm(), run, loaded, library=LIBRARY).error
     assert raw.after > 0.3
-    with pytest.raises(SoftmapError, match=r"the held-out run is judged .* channel . differs by .*--held-out out"):
+    with pytest.raises(SoftmapError, match=r"the held-out run needs .* channel . differs by .*--held-out out"):
         diagnose(Arm(), run, loaded, library=LIBRARY, reference=reference)
     with pytest.raises(SoftmapError, match="none of the 2 reference runs stands for this run"):
         diagnose(Arm(), run, library=LIBRARY, reference=[free, free])

@@ -266,7 +266,9 @@ def _validation(model: Model, held_out: Run, library: Any, reference: Run | Sequ
     except SoftmapError as fault:
         if reference is None:
             raise
-        raise SoftmapError(f"the held-out run needs a reference too: {fault}; or leave --held-out out") from None
+        raise SoftmapError(
+            f"the held-out run needs a reference of its own commands: {fault}; or leave --held-out out"
+        ) from None
 
 
 def _outside(record: Record) -> str:
