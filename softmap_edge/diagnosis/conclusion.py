@@ -115,8 +115,8 @@ def conclude(outcome: Outcome, fit: Fit, context: Context) -> dict[str, Any]:
         doubts.insert(0, str(context.own))
     is_open = any(s.answer.open for s in standing)
     unsure = _physical(alternatives, registry)
-    # What no recording can show with this model is its limit, and not that of the run.
-    recordable, others = (sum(h.minutes > 0.0 for h in every) for every in (hidden, context.impossible))
+    # A limit of the model is none of the run.
+    recordable, others = (sum(not h.of_model for h in every) for every in (hidden, context.impossible))
     verdict = verdict_of(
         physics or (faults if unsure or is_open else ()), faults, changed or bool(alternatives or doubts or is_open),
         unknown, bool(detected), recordable, len(fits.candidates) + others,

@@ -132,12 +132,16 @@ class FamilyFinding:
 
 @dataclass(frozen=True)
 class Untestable:
-    """An effect that this run cannot show, or cannot distinguish from another: why, and what to record."""
+    """An effect that this run cannot show, or cannot distinguish from another: why, and what to record.
+
+    If it is a limit `of_model`, no recording shows it with this model.
+    """
 
     name: str
     why: str = ""
     experiment: str = ""
     minutes: float = 0.0
+    of_model: bool = False
 
 
 @dataclass(frozen=True)

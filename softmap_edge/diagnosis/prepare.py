@@ -57,13 +57,15 @@ def candidates_of(
             )
         elif not record.layout((name,)).labels:
             why = f"it is between channels, and the model has {record.model.channels}"
-            impossible.append(Untestable(name, why, "a robot of more channels", 0.0))
+            impossible.append(Untestable(name, why, "a robot of more channels", of_model=True))
         elif name in lawless:
             why = "the model has no such law to change: its tendons do not push, or it has none"
-            impossible.append(Untestable(name, why, "a model learned with a robot.toml whose tendons push", 0.0))
+            impossible.append(
+                Untestable(name, why, "a model learned with a robot.toml whose tendons push", of_model=True)
+            )
         elif lacking := record.model.lacking(name):
             why = f"this model has no field {lacking[0]}"
-            impossible.append(Untestable(name, why, "a model built from a finger.toml by this version", 0.0))
+            impossible.append(Untestable(name, why, "a model built from a finger.toml by this version", of_model=True))
         elif name == "twist" and not record.roll_seen:
             why = "clouds of a round finger do not show what it does about its own axis"
             impossible.append(Untestable(name, why, "the same moves with markers or a texture on the finger", 1.0))

@@ -294,7 +294,7 @@ def _questions(diagnosis: Diagnosis, found: tuple[str, ...], own: tuple[str, ...
         effects = alternative.effects
         if set(effects) != set(found) and not set(effects) & set(own):  # a refit of the model's own needs no experiment
             asked.append(Question(found, effects, families=_between(diagnosis, alternative)))
-    recordable = [row.name for row in diagnosis.not_testable if row.minutes > 0.0]  # others are limits of the model
+    recordable = [row.name for row in diagnosis.not_testable if not row.of_model]
     asked += [Question(found, found, name) for name in recordable if name not in found]
     return list(dict.fromkeys(asked))
 
