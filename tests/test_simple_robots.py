@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from softmap_edge import Run, diagnose, learn_model
+from softmap_edge.diagnosis.diagnose import refit
 from softmap_edge.errors import RunError
 
 LENGTH, RATE = 110.0, 10.0
@@ -138,6 +139,9 @@ def test_play_in_one_servo_is_learned_as_identified_and_refit_comes_first_when_i
     assert same.verdict == "nothing" and not same.effects  # a limit of the model is none of the data
     changed = diagnose(model, arm_run(10, both(0.0, 0.24)))
     assert changed.sentence.startswith("Refit first: the model's own backlash") and changed.verdict == "ambiguous"
+    again, _ = refit(model, arm_run(10, both(0.0, 0.24)))
+    assert again.learned_in[0].params[1].value == pytest.approx(12.0, rel=0.05)
+    assert not diagnose(again, arm_run(20, both(0.0, 0.24))).effects
 
 
 def test_one_marker_at_the_tip_need_not_stand_where_it_stood():

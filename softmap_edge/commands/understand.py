@@ -119,12 +119,12 @@ def diagnose(args: argparse.Namespace) -> int:
     found = find(model, runs, held_out, wanted, args.seed, teller(args), reference=references or None)
     if args.out:
         _write_json(args.out, found.to_dict())
+    if args.html:  # before anything is printed: a reader may close the pipe
+        kind = "fitted" if held_out is None else "held out"
+        write_page(args.html, held_out or runs[0], model, found.model, found, kind)
     print(json.dumps(found.to_dict(), indent=1) if args.json else found)
     if before is not None and not args.json:
         print("\n".join(["", *progress_lines(before, found.to_dict())]))
-    if args.html:
-        kind = "fitted" if held_out is None else "held out"
-        write_page(args.html, held_out or runs[0], model, found.model, found, kind)
     return 0
 
 

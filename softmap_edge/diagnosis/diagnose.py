@@ -10,7 +10,8 @@ deterministic: the same input gives the same document. Pinned by tests/test_diag
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -26,7 +27,7 @@ from softmap_edge.diagnosis.decision import ORDINARY, VISIBLE_MM
 from softmap_edge.diagnosis.declared import strange, wrong_load, wrong_sign
 from softmap_edge.diagnosis.document import Diagnosis, with_error
 from softmap_edge.diagnosis.evidence import equivalents, experiment, shown, unseen
-from softmap_edge.diagnosis.findings import plain
+from softmap_edge.diagnosis.findings import Number, plain
 from softmap_edge.diagnosis.fit import Fit, Problem
 from softmap_edge.diagnosis.fits import Fits
 from softmap_edge.diagnosis.fitted import parameters
@@ -42,6 +43,7 @@ from softmap_edge.diagnosis.taught import Taught, with_unknown
 from softmap_edge.diagnosis.wording import OwnMisfit
 from softmap_edge.errors import SoftmapError
 from softmap_edge.folds import withheld
+from softmap_edge.learned_in import LearnedNumber
 from softmap_edge.outside import BEYOND
 from softmap_edge.ticks import converted
 
@@ -186,12 +188,23 @@ def refit(model: Model, run: Run | Sequence[Run], library: Any = None) -> tuple[
     before = problem.null()
     fit = problem.fit(own, [now, space.start], free=own)
     sigma = problem.uncertainty(fit, max(1.0, fit.chi2 / max(1.0, problem.numbers)))
+    numbers = parameters(record, fit, sigma, own)
     document = {
-        "params": plain(parameters(record, fit, sigma, own)),
+        "params": plain(numbers),
         "before_rms_mm": record.rms_mm(record.seen - before.predicted),
         "after_held_out_rms_mm": problem.held_out_mm(problem.fold_predictions(fit)),
     }
-    return model.with_effects(own, _shared(fit)), document
+    return _relearned(model.with_effects(own, _shared(fit)), numbers), document
+
+
+def _relearned(model: Model, numbers: Mapping[str, Number]) -> Model:
+    """Return a model whose record of what was learned in has the numbers of a later fit."""
+    fresh = [LearnedNumber(label, n.value, n.sigma or 0.0, n.unit, n.at_bound) for label, n in numbers.items()]
+    records = [
+        replace(one, params=tuple(n for n in fresh if n.label.split(".")[0] == one.name) or one.params).to_dict()
+        for one in getattr(model, "learned_in", ())
+    ]
+    return replace(model, made_from={**model.made_from, "learned_in": records}) if records else model
 
 
 def showing(model: Model, run: Run, library: Any = None) -> list[dict[str, Any]]:

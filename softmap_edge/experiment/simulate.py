@@ -152,7 +152,7 @@ class World:
         return by is None or by == changes
 
     def _shows(self, name: str, changes: str) -> bool:
-        """Whether a block that `changes` a condition can show an effect which needs another orientation to be distinct."""
+        """Whether a block that `changes` a condition can show an effect, which may need another orientation."""
         by = set(self.registry[name]["alike"].values())
         return by != {"orientation"} or changes == "orientation"
 
