@@ -143,7 +143,7 @@ def _bases(seen: Seen, smallest: int, degree: int | None) -> tuple[Basis, ...]:
     if channels > 1 and np.any((commands.min(axis=0) < 0) & (commands.max(axis=0) > 0)):
         bases += [Basis(d, True) for d in some if d < (CUBIC if channels > FEW_CHANNELS else CUBIC + 1)]
     found = tuple(basis for basis in bases if 2 * len(basis.degrees(channels)) < smallest)
-
+    found = found if channels > 1 else found[-1:]
     if not any(not basis.pulled for basis in found):
         raise RunError(
             f"{len(seen.t)} usable frames leave {smallest} to learn from outside a block, too few for a polynomial "
