@@ -90,13 +90,12 @@ def beyond_ordinary(ranking: Ranking, state: State) -> bool:
 
 
 def ordinary_level(body: Body) -> float:
-    """Return the size up to which a static effect is no discovery, mm RMS.
+    """Return the level of ordinary imperfections, mm RMS: static effects from `DOMINATES` times it are discoveries.
 
     A map that was learned from the robot itself has no imperfections of its own. So a single small change since then,
-    as of a servo that was fitted again, stands out like an effect: there the level is a share of the motion at least.
+    as of a servo that was fitted again, stands out like an effect: there the level is a share of the motion.
     """
-    least = rule.ORDINARY / rule.DOMINATES * motion_mm(body.record) if body.free_map else 0.0
-    return max(body.ordinary_mm, least)
+    return rule.ORDINARY / rule.DOMINATES * motion_mm(body.record) if body.free_map else body.ordinary_mm
 
 
 def _static_mm(ranking: Ranking, state: State) -> float:
