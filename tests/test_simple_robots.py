@@ -198,3 +198,11 @@ def test_a_camera_that_is_hit_is_no_slip_of_a_tendon(learned):
     hit = run.markers + np.where(run.t_seen > 50.0, 1.0, 0.0)[:, None, None] * [2.5, -1.5, 1.0]
     found = diagnose(learned, replace(run, markers=hit))
     assert found.families[0].name == "frame drift" and not found.effects
+
+
+def test_commands_of_the_other_sign_are_no_turned_frame_alone(learned):
+    run = arm_run(21)
+    with pytest.raises(
+        RunError, match=r"turned by 1[78].*set sign = -1 in the mapping, with which the commands explain"
+    ):
+        diagnose(learned, replace(run, command=-run.command))

@@ -100,7 +100,7 @@ def belongs(model: Model, run: Run, seen: Floats, visible: Mask, predicted: Floa
     s, p, v = seen[some], predicted[some], visible[some]
     rest = np.asarray(model.rest if run.marker_rest is None or model.markers else run.marker_rest, float)
     _in_order(model, rest, s, v)
-    _in_place(model, rest, s, v, p)
+    _in_place(model, run.at(some), rest, s, v, p)
     _upside_down(model, run.at(some), s, v, p)
     motion = centred(s, v)
     if float(np.sqrt(np.mean(np.sum(motion[v] ** 2, axis=1)))) < MOTION * length or not model.channels:
@@ -193,7 +193,7 @@ def _in_order(model: Model, rest: Floats, seen: Floats, visible: Mask) -> None:
         )
 
 
-def _in_place(model: Model, rest: Floats, seen: Floats, visible: Mask, predicted: Floats) -> None:
+def _in_place(model: Model, run: Run, rest: Floats, seen: Floats, visible: Mask, predicted: Floats) -> None:
     """The frame of the points is right-handed, and the base stands where a fit can find it."""
     weight = visible.astype(float)
     middle = (seen * weight[..., None]).sum(axis=1) / np.maximum(weight.sum(axis=1), 1.0)[:, None]
@@ -222,8 +222,23 @@ def _in_place(model: Model, rest: Floats, seen: Floats, visible: Mask, predicted
         raise RunError(
             f"the points are turned by {angle:.3g}° and shifted by {shift:.4g} mm against the base of '{model.robot}', "
             f"which takes their distance from {before:.3g} to {after:.3g} mm RMS; bring them to the base with "
-            "`softmap align`"
+            f"`softmap align`{_or_opposite(model, run, seen, visible)}"
         )
+
+
+def _or_opposite(model: Model, run: Run, seen: Floats, visible: Mask) -> str:
+    """Say so if commands of the opposite sign explain the motion as well as a frame that is turned."""
+    share = follows(seen - _opposite(model, run), seen, visible) if model.channels else 0.0
+    if share < ALIKE:
+        return ""
+    explained = f"with which the commands explain {100 * share:.0f} %"
+    return f"; or, if the frame is right, set sign = -1 in the mapping, {explained}"
+
+
+def _opposite(model: Model, run: Run) -> Floats:
+    """Return the predicted points (K, N, 3) mm for commands of the opposite sign."""
+    turned = {n: -getattr(run, n) for n in ("command", "present") if getattr(run, n) is not None}
+    return np.asarray(model.predict(replace(run, **turned)))
 
 
 def _at_the_clamp(model: Model, rest: Floats, seen: Floats, visible: Mask, predicted: Floats) -> None:
@@ -262,9 +277,7 @@ def _upside_down(model: Model, run: Run, seen: Floats, visible: Mask, predicted:
 def _other_cause(model: Model, run: Run, seen: Floats, visible: Mask) -> None:
     """Name what would make commands and frames agree: another clock, or the other sign."""
     some = np.unique(np.linspace(0, run.frames - 1, min(run.frames, FRAMES)).astype(int))
-    turned = {n: -getattr(run, n) for n in ("command", "present") if getattr(run, n) is not None}
-    other = np.asarray(model.predict(replace(run, **turned).at(some)))
-    share = follows(seen - other, seen, visible)
+    share = follows(seen - _opposite(model, run.at(some)), seen, visible)
     late, later = _clock(model, run, seen, visible, run.t_seen[some])
     if max(share, later) > ALIKE and remembered(model, run.at(some), seen, visible).free > max(share, later) - NEARLY:
         return
