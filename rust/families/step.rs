@@ -12,7 +12,7 @@ pub static FAMILY: Family = Family {
         "the same moves several times, with home visited in between",
         4.0,
     ),
-    mimics: &["temperature", "time", "load"],
+    mimics: &["temperature", "time", "load", "frame drift"],
     members: &["anchor_slip"],
     columns: Some(columns),
     ..NOTHING

@@ -226,7 +226,7 @@ def rod_noise(residual: Floats, t_seen: Floats, form_error: Floats, measured: No
     mixed = (fast * measured.inflation + float(own.sum()) * inflation) / (fast + float(own.sum()))
     covariance = measured.covariance + np.diag(own)
     told = f"{measured.source}, and {source}, correlated over {tau:.2g} s"
-    return replace(measured, covariance=covariance, source=told, inflation=mixed, slow=None, replicates=False)
+    return replace(measured, covariance=covariance, source=told, inflation=mixed, slow=None)
 
 
 def form_covariance(form_error: Floats, positions: Mask, section: NDArray[np.int64]) -> Floats:

@@ -30,6 +30,7 @@ from softmap_edge.report.text import ladder_steps
 
 Floats = NDArray[np.float64]
 
+ABOVE_NOISE = 3.0  # times the noise floor that the colours of an error reach at least
 STRETCH, MANY = 20.0, 10  # s of a long run that are drawn, and frames that such a stretch should have
 BEFORE, AFTER, FLOOR, INK, FAINT, PALE = "#cf5c36", "#1f7a8c", "#7d8597", "#1f2933", "#e7eaef", "#9aa5b1"
 ERROR_MAP = LinearSegmentedColormap.from_list("error", ["#dceef0", "#f6e7c1", "#efa35c", "#cf5c36", "#6a1b1a"])
@@ -140,6 +141,7 @@ def body(series: Series) -> bytes:
     if series.point_after is not None:
         shown.append(("after", series.point_after))
     top = max(float(np.nanmax(values)) for _, values in shown)
+    top = max(top, ABOVE_NOISE * (series.noise_floor_mm or 0.0))  # what is no more than noise is pale
     scale = Normalize(0.0, top if top > 0 else 1.0)
     with matplotlib.rc_context(STYLE):
         if series.triangles is None:
