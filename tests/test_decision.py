@@ -146,6 +146,7 @@ def accepted(fall=600.0, before=800.0, numbers=100.0, moved=1.0, kind="memory", 
     state = SimpleNamespace(
         body=SimpleNamespace(problem=SimpleNamespace(record=record, noise=noise, numbers=numbers), record=record,
                              ordinary_mm=more.get("ordinary", 0.3), free_map=False),
+        without_background=lambda: None if more.get("background") else state,
     )  # fmt: skip
     ranking = SimpleNamespace(before=np.full(8, before / 8), static=np.zeros((1, 3)))
     row = SimpleNamespace(loss=np.full(8, (before - fall) / 8), moved_mm=moved, family=SimpleNamespace(kind=kind))
@@ -161,6 +162,7 @@ def test_a_family_is_accepted_by_its_fall_and_by_what_it_moves():
     small = dict(fall=200.0, numbers=100.0)
     assert accepted(**small, kind="static") and accepted(**small, noisy=True)
     assert not accepted(**small, kind="static", noisy=True)  # a rod may err as much on any run
+    assert not accepted(**small, noisy=True, background=True)  # and beside imperfections a memory, too
     assert not accepted(fall=100.0, numbers=801.0) and accepted(numbers=801.0)  # a share of all loss, within noise
 
 

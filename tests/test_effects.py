@@ -187,7 +187,8 @@ def test_it_stays_bounded_and_finite(name):
     sets = np.stack([chain.low, chain.high, *(random_params(chain, s) for s in range(10))])
     out = chain.rollout(sets, u, t, temperature=warming(t))
     # The strongest: gain 1.6, creep and Mullins 1.5 on 20 mm; offset adds 4 mm, hysteresis at most 0.7 · 6.25 mm.
-    assert np.isfinite(out).all() and np.abs(out).max() <= 32.0 + 1e-9
+    most = 20.0 + 30.0 * 2.0 if name == "zero_drift" else 32.0  # half an hour at 2 mm/min
+    assert np.isfinite(out).all() and np.abs(out).max() <= most + 1e-9
 
 
 @pytest.mark.parametrize("name", [*BY_ROLE["channel"], "all"])
@@ -226,7 +227,7 @@ def test_splitting_changes_nothing_and_a_new_state_forgets(name):
     )  # reset: nothing lingers in the chain
 
 
-@pytest.mark.parametrize("name", BY_ROLE["channel"])
+@pytest.mark.parametrize("name", [name for name in BY_ROLE["channel"] if name != "zero_drift"])  # which never rests
 def test_memory_starts_in_equilibrium(name):
     chain = _core.Chain([name], 2)
     held = np.tile([[4.0, -7.0]], (400, 1))

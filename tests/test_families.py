@@ -152,7 +152,7 @@ def columns(p, name, c):
         behind = [f for tau in (30, 100) for f in (pole(z, t, tau), pole(z, t, tau) * x)]
         crept = [z * (pole(x, t, tau) - x) for tau in (5, 30)]
         one = np.ones_like(z)
-        return h * stack([z, z * x, z**2 * x, z * x * np.abs(x), z**2, 0.3 * one, 0.3 * x, *behind, *crept])
+        return h * stack([z, z * x, z**2 * x, z * x * np.abs(x), z * x**2, z**2, 0.3 * one, 0.3 * x, *behind, *crept])
     if name == "load":
         e = (p.orientation[:, None] == [4, 7]).astype(float)
         return 0.3 * h * np.concatenate([e, e * x[:, None], e * x[:, None] ** 2], axis=1)
@@ -191,7 +191,8 @@ def modulation(p, name):
     if name == "frame":
         return one[None]
     if name == "frame drift":
-        return spline(np.interp(p.at, p.t, p.share), 0, 1, 3).T
+        share = np.interp(p.at, p.t, p.share)
+        return np.vstack([spline(share, 0, 1, 3).T, [share > k / 9 for k in range(1, 9)]])
     assert name == "static shape"
     if len(x) > 3:
         return np.stack([one, *(xc**n for xc in x for n in (1, 2, 3))])

@@ -1,6 +1,7 @@
 //! Zero drift: the zero of a channel moves steadily during the run, as of a tendon that creeps through its knot.
 //!
-//! `x = u + rate·m`, mm, `rate` in mm/min per channel, `m` the minutes since the first sample. No memory of the commands.
+//! `x = u + rate·min(m, 30)`, mm, `rate` in mm/min per channel, `m` the minutes since the first sample. No memory of the
+//! commands. No log of some minutes says what comes after half an hour, so a controller that compensates it stops there.
 //! Limit: steady; a drift that ends is a `tendon_creep`, and one that comes at once an `anchor_slip`.
 
 use super::conditions::Context;
@@ -12,7 +13,7 @@ pub static EFFECT: Effect = Effect {
         family: "slow drift",
         stage: Stage::Transmission,
         kind: Kind::Effect,
-        formula: "x = u + rate · m,  m minutes since the first sample",
+        formula: "x = u + rate · min(m, 30),  m minutes since the first sample",
         doc: "The zero of a channel moves steadily: a tendon slides through its knot, a servo loses steps, a cable settles.",
         signature: "An offset of the channel that grows with time from nothing, whatever is commanded; the base stays in place.",
         reference: "Linear drift, the first term of a drift in time.",
@@ -35,6 +36,9 @@ pub static EFFECT: Effect = Effect {
 
 struct ZeroDrift;
 
+/// Minutes after which the drift stays where it is.
+const LONGEST: f64 = 30.0;
+
 impl ChannelEffect for ZeroDrift {
     /// Whether a sample was seen, and the time of the first.
     fn state_size(&self, _channels: usize) -> usize {
@@ -49,7 +53,7 @@ impl ChannelEffect for ZeroDrift {
         if state[0] == 0.0 {
             state.copy_from_slice(&[1.0, context.t]);
         }
-        let minutes = (context.t - state[1]) / 60.0;
+        let minutes = ((context.t - state[1]) / 60.0).min(LONGEST);
         x.iter_mut()
             .zip(params)
             .for_each(|(x, rate)| *x += rate * minutes);

@@ -55,7 +55,8 @@ def accepted(row: Representative, ranking: Ranking, state: State, later: bool, v
     if static and not beyond_ordinary(ranking, state):
         return False
     record = state.body.record
-    if record.error_is_noise and row.family.kind in ("static", "time"):
+    # What imperfections of the robot leave of a model's own error is noise to a memory too.
+    if record.error_is_noise and (row.family.kind in ("static", "time") or state is not state.without_background()):
         if difference(ranking.before, row.loss).fall < rule.FALL_NEXT * float(ranking.before.sum()):
             return False
         if not exceeds_model_error(row.family, row.moved_mm, state):
