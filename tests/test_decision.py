@@ -162,7 +162,7 @@ def test_a_family_is_accepted_by_its_fall_and_by_what_it_moves():
     small = dict(fall=200.0, numbers=100.0)
     assert accepted(**small, kind="static") and accepted(**small, noisy=True)
     assert not accepted(**small, kind="static", noisy=True)  # a rod may err as much on any run
-    assert not accepted(**small, noisy=True, background=True)  # and beside imperfections a memory, too
+    assert not accepted(**small, noisy=True, background=True)  # nor may a memory, once imperfections are explained
     assert not accepted(fall=100.0, numbers=801.0) and accepted(numbers=801.0)  # a share of all loss, within noise
 
 

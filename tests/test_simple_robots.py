@@ -4,14 +4,23 @@ Nothing here comes from the library: a planar arm of constant curvature, an angl
 displacement.
 """
 
+import contextlib
+import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from matplotlib.colors import Normalize
 
-from softmap_edge import Run, diagnose, learn_model
+from softmap_edge import Run, _core, diagnose, learn_model, load_bundle, save_bundle
+from softmap_edge.cli import main
+from softmap_edge.diagnosis import conclusion, motion_at_rest
 from softmap_edge.diagnosis.diagnose import refit
+from softmap_edge.diagnosis.findings import Alternative
+from softmap_edge.diagnosis.series import series
 from softmap_edge.errors import RunError
+from softmap_edge.experiment.choose import next_experiment
+from softmap_edge.report import figures
 
 LENGTH, RATE = 110.0, 10.0
 SILENT = ("nothing", "cannot_tell")
@@ -206,3 +215,84 @@ def test_commands_of_the_other_sign_are_no_turned_frame_alone(learned):
         RunError, match=r"turned by 1[78].*set sign = -1 in the mapping, with which the commands explain"
     ):
         diagnose(learned, replace(run, command=-run.command))
+
+
+def sticks(u, width=0.25):
+    """Commands of a joint that sticks and then jumps to its command."""
+    out, held = np.empty_like(u), u[0].copy()
+    for k, x in enumerate(u):
+        held = np.where(np.abs(x - held) > width, x, held)
+        out[k] = held
+    return out
+
+
+def test_a_learned_law_that_leaves_much_of_the_error_is_open():
+    """The play that is nearest to stick-slip leaves its jumps; a map that fits badly would leave as much."""
+    model = learn_model(arm_run(22, sticks, seconds=150.0))
+    assert model.learned_in and all(one.law != "identified" for one in model.learned_in)
+
+
+def test_noise_that_was_measured_is_not_called_guessed(learned):
+    found = diagnose(learned, arm_run(23))
+    assert found.verdict == "nothing" and not any("to estimate the noise" in remark for remark in found.remarks)
+
+
+def test_all_that_a_diagnosis_names_is_added_unless_it_names_nothing(learned, tmp_path, capsys):
+    run = arm_run(24, lambda u: np.column_stack([u[:, 0], play(u[:, 1], 0.16)]))
+    save_bundle(learned, tmp_path / "arm")
+    for name, one in (("d", run), ("n", arm_run(25))):
+        (tmp_path / f"{name}.json").write_text(json.dumps(diagnose(learned, one).to_dict()), encoding="utf-8")
+    words = ["--bundle", str(tmp_path / "arm"), "--out", str(tmp_path / "more")]
+    assert main(["add", "--from", str(tmp_path / "n.json"), *words]) == 2
+    assert "names no effect (verdict nothing)" in capsys.readouterr().err and not (tmp_path / "more").exists()
+    assert main(["add", "--from", str(tmp_path / "d.json"), *words]) == 0
+    assert load_bundle(tmp_path / "more").chain_names == ("backlash",)
+
+
+def test_gravity_is_asked_for_another_orientation_and_a_limit_of_the_model_for_nothing(learned):
+    run = arm_run(26, lambda u: np.column_stack([u[:, 0], play(u[:, 1], 0.16)]))
+    found = diagnose(learned, run)
+    assert {row.name for row in found.not_testable if row.of_model} >= {"kink", "twist", "routing"}
+    ranked = next_experiment(learned, found, [run])
+    assert {one.block for one in ranked if one.plan and "gravity" in one.settles} == {"another orientation"}
+    assert not {"kink", "twist", "routing"} & {name for one in ranked for name in one.settles}
+
+
+def test_a_page_is_written_though_its_reader_closes_the_pipe(learned, tmp_path, monkeypatch):
+    save_bundle(learned, tmp_path / "arm")
+    arm_run(27).save(tmp_path / "run.npz")
+
+    def closed(*_, **__):
+        raise BrokenPipeError
+
+    with monkeypatch.context() as patch:
+        patch.setattr("builtins.print", closed)
+        words = ["diagnose", str(tmp_path / "run.npz"), "--bundle", str(tmp_path / "arm")]
+        with contextlib.suppress(BrokenPipeError):
+            main([*words, "--html", str(tmp_path / "d.html")])
+    assert (tmp_path / "d.html").read_text(encoding="utf-8").startswith("<!doctype html")
+
+
+@pytest.mark.parametrize("rate", [5.0, 4.9])
+def test_frames_at_twice_a_frequency_show_no_hum(rate):
+    """At half the rate of the frames a wave may vanish in all of them: no amplitude follows from that."""
+    t = np.arange(200) / rate
+    level = motion_at_rest._levels([np.arange(100), np.arange(100, 200)], 200)
+    values = np.random.default_rng(0).normal(size=(200, 2))
+    share = motion_at_rest._explained(np.array([0.5 * rate, 0.6]), t, values, level)
+    assert np.all(share[0] == 0.0) and np.all(share[1] > 0.0)
+
+
+def test_colours_reach_three_times_the_noise(learned, monkeypatch):
+    """A model that leaves only noise is pale, not as dark as the worst."""
+    seen = []
+    monkeypatch.setattr(figures, "Normalize", lambda low, high: seen.append(high) or Normalize(low, high))
+    shown = series(arm_run(28), learned, kind="measured")
+    figures.body(shown)
+    assert seen[0] == pytest.approx(3.0 * shown.noise_floor_mm) and seen[0] > 2.0 * shown.point_before.max()
+
+
+def test_a_fault_that_physics_may_explain_is_not_the_verdict():
+    registry = {effect["name"]: effect for effect in _core.effects()}
+    drift, time = Alternative((), "", "camera_drift", "frame drift"), Alternative((), "", "camera_drift", "time")
+    assert not conclusion._physical([drift], registry) and conclusion._physical([drift, time], registry)

@@ -9,6 +9,7 @@
 
 use super::conditions::Context;
 use super::declaration::*;
+use super::elapsed::{self, elapsed};
 use super::pair::{lengthened, taut};
 
 pub static EFFECT: Effect = Effect {
@@ -66,9 +67,8 @@ struct AnchorSlip;
 const INSTANT: f64 = 1e-9;
 
 impl ChannelEffect for AnchorSlip {
-    /// Whether a sample was seen, and the time of the first.
     fn state_size(&self, _channels: usize) -> usize {
-        2
+        elapsed::SIZE
     }
 
     fn settle(&self, _params: &[f64], _x: &mut [f64], state: &mut [f64]) {
@@ -76,11 +76,8 @@ impl ChannelEffect for AnchorSlip {
     }
 
     fn step(&self, params: &[f64], x: &mut [f64], state: &mut [f64], context: &Context) {
-        if state[0] == 0.0 {
-            state.copy_from_slice(&[1.0, context.t]);
-        }
         let (slip, numbers) = params.split_at(x.len());
-        let late = context.t - state[1] - numbers[0];
+        let late = elapsed(state, context) - numbers[0];
         let done = (late / (numbers[0] * numbers[1]).max(INSTANT) + 0.5).clamp(0.0, 1.0);
         for (x, slip) in x.iter_mut().zip(slip) {
             let s = slip * done;

@@ -6,6 +6,7 @@
 mod chain;
 mod conditions;
 mod declaration;
+mod elapsed;
 mod low_pass;
 mod own;
 mod pair;

@@ -6,6 +6,7 @@
 
 use super::conditions::Context;
 use super::declaration::*;
+use super::elapsed::{self, elapsed};
 
 pub static EFFECT: Effect = Effect {
     declaration: Declaration {
@@ -40,9 +41,8 @@ struct ZeroDrift;
 const LONGEST: f64 = 30.0;
 
 impl ChannelEffect for ZeroDrift {
-    /// Whether a sample was seen, and the time of the first.
     fn state_size(&self, _channels: usize) -> usize {
-        2
+        elapsed::SIZE
     }
 
     fn settle(&self, _params: &[f64], _x: &mut [f64], state: &mut [f64]) {
@@ -50,10 +50,7 @@ impl ChannelEffect for ZeroDrift {
     }
 
     fn step(&self, params: &[f64], x: &mut [f64], state: &mut [f64], context: &Context) {
-        if state[0] == 0.0 {
-            state.copy_from_slice(&[1.0, context.t]);
-        }
-        let minutes = ((context.t - state[1]) / 60.0).min(LONGEST);
+        let minutes = (elapsed(state, context) / 60.0).min(LONGEST);
         x.iter_mut()
             .zip(params)
             .for_each(|(x, rate)| *x += rate * minutes);

@@ -127,6 +127,7 @@ def _standard(args: argparse.Namespace, model: Any) -> tuple[Any, list[Any], lis
 def _answered(args: argparse.Namespace, model: Any) -> tuple[Any, list[Any], list[str], int]:
     """Return the commands for what a diagnosis left open, the blocks weighed, what is open, and how often to play."""
     from softmap_edge.diagnosis.document import Diagnosis
+    from softmap_edge.diagnosis.separate import REFIT
     from softmap_edge.experiment.blocks import Setting, chosen, plan
     from softmap_edge.experiment.choose import next_experiment, program
     from softmap_edge.report.progress import progress_lines
@@ -148,7 +149,7 @@ def _answered(args: argparse.Namespace, model: Any) -> tuple[Any, list[Any], lis
     made = plan(chosen(names), limits, setting, args.seed) if names else None
     times = 1 if diagnosis.made_from.get("reference") is None else 2
     lines = progress_lines(before or None, diagnosis.to_dict())
-    lines += [f"First, without a recording: {b.block}" for b in diagnosis.next if b.block.startswith("`softmap refit`")]
+    lines += [f"First, without a recording: {REFIT}" for block in diagnosis.next if block.block == REFIT]
     return made, found, lines, times
 
 

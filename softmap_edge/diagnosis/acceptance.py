@@ -47,8 +47,8 @@ def accepted(row: Representative, ranking: Ranking, state: State, later: bool, v
     problem = state.body.problem
     if not falls_on(ranking.before, row.loss, state.body, rule.FALL_NEXT if later else rule.FALL_FIRST, later):
         return False
-    alone = problem.noise.replicates and not problem.record.error_is_noise
-    noise = problem.noise.rms_mm(problem.record.positions) / np.sqrt(3.0) if alone else 0.0
+    measured = problem.noise.replicates and not problem.record.error_is_noise
+    noise = problem.noise.rms_mm(problem.record.positions) / np.sqrt(3.0) if measured else 0.0
     static = row.family.kind == "static"
     if row.family.kind == "time" and rule.in_one_fold(ranking.before, row.loss):
         return False  # an event leaves its mark on later folds too

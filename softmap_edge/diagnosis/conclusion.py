@@ -127,7 +127,7 @@ def conclude(outcome: Outcome, fit: Fit, context: Context) -> dict[str, Any]:
     sentence = sentence_of(verdict, physics, faults, detected, alternatives, left, hidden, error, context.demoted, hint)
     return {
         "verdict": verdict,
-        "sentence": (f"Refit first: {context.own}. What follows may stand in for that. " if changed else "")
+        "sentence": (f"Refit first: {context.own}. The findings below may be due to it. " if changed else "")
         + sentence
         + "".join(f" But {doubt}." for doubt in doubts)
         + "".join(f" Moreover, {motion}." for motion in moving)

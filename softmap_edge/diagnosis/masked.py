@@ -63,21 +63,21 @@ class Masked:
         ]
 
     def __str__(self) -> str:
-        told = (
+        size = (
             f"The model's residual of {self.size_mm:.2f} mm RMS was taken out (error on this run "
             f"{self.with_mm:.2f} mm RMS with it, {self.without_mm:.2f} mm RMS without, nothing fitted)"
         )
         if self.may_be:
             which = ", ".join(f"{name} ({100 * share:.0f} % of it)" for name, share in self.may_be)
-            return f"{told}; it may hide {which}"
+            return f"{size}; it may hide {which}"
         if self.with_mm >= self.without_mm:
-            return f"{told}; it does not lower the error of this run"
+            return f"{size}; it does not lower the error of this run"
         if self.left_mm <= self.own_mm:
             return (
-                f"{told}; {self.left_mm:.2f} mm RMS of it are unexplained (fitted), up to {self.own_mm:.2f} mm RMS may "
+                f"{size}; {self.left_mm:.2f} mm RMS of it are unexplained (fitted), up to {self.own_mm:.2f} mm RMS may "
                 "be its own error"
             )
-        return f"{told}; no single effect explains the remaining {self.left_mm:.2f} mm RMS of it (fitted)"
+        return f"{size}; no single effect explains the remaining {self.left_mm:.2f} mm RMS of it (fitted)"
 
 
 def masked(fits: Fits, fit: Fit) -> Masked | None:

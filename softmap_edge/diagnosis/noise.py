@@ -137,15 +137,15 @@ def measure_noise(residual: Floats, seen: Floats, positions: Mask, t_seen: Float
         return replace(again, moving=moving.found)
     fast = _white_scatter(moving.values, seen, positions, modes, white, dwell)
     covariance = _shrunk(fast.squares / fast.degrees, fast.degrees)
-    told = Noise(covariance, plain.source, _inflation(fast.rho), True, moving=moving.found)
+    fitted = Noise(covariance, plain.source, _inflation(fast.rho), True, moving=moving.found)
     if jitter is None:
-        return told
+        return fitted
     slow = jitter.of_features(filled(seen)[_spread(len(seen))], positions)
     count = max(1.0, 2.0 * jitter.memory_s * len(seen) / max(float(t_seen[-1] - t_seen[0]), 1e-9))
     kept = f" of {jitter.memory_s:g} s memory" if jitter.memory_s else ""
     source = f"{plain.source}, frame jitter{kept} ({jitter.revisits} revisits)"
     return replace(
-        told, covariance=covariance + slow, source=source, slow=slow, memory_s=jitter.memory_s, slow_inflation=count
+        fitted, covariance=covariance + slow, source=source, slow=slow, memory_s=jitter.memory_s, slow_inflation=count
     )
 
 
@@ -225,8 +225,8 @@ def rod_noise(residual: Floats, t_seen: Floats, form_error: Floats, measured: No
     fast = float(np.trace(measured.covariance))
     mixed = (fast * measured.inflation + float(own.sum()) * inflation) / (fast + float(own.sum()))
     covariance = measured.covariance + np.diag(own)
-    told = f"{measured.source}, and {source}, correlated over {tau:.2g} s"
-    return replace(measured, covariance=covariance, source=told, inflation=mixed, slow=None)
+    described = f"{measured.source}, and {source}, correlated over {tau:.2g} s"
+    return replace(measured, covariance=covariance, source=described, inflation=mixed, slow=None)
 
 
 def form_covariance(form_error: Floats, positions: Mask, section: NDArray[np.int64]) -> Floats:

@@ -19,6 +19,8 @@ from softmap_edge.diagnosis.wording import OwnMisfit
 
 Registry = Mapping[str, dict[str, Any]]
 
+REFIT = "`softmap refit` on this run, then diagnose again"
+
 SPECIAL = ("static", "memory", "time", "condition")  # kinds of input; a later one is varied by itself more easily
 
 
@@ -48,7 +50,7 @@ def mended(faults: Sequence[Finding]) -> list[NextBlock]:
 
 def refits(own: OwnMisfit | None) -> list[NextBlock]:
     """Return what to do first where the model's own effects do not fit."""
-    return [] if own is None else [NextBlock("`softmap refit` on this run, then diagnose again", 0.0, own.names)]
+    return [] if own is None else [NextBlock(REFIT, 0.0, own.names)]
 
 
 def next_blocks(
