@@ -62,6 +62,7 @@ __all__ = [
     "servo_packet",
     "servo_packets",
     "servo_registers",
+    "tensor_splines",
 ]
 
 @disjoint_base
@@ -84,6 +85,7 @@ class Rod(Shape):
         angles: _Floats,
         lengths: _Floats,
         pulled: bool = False,
+        intervals: int = 0,
     ) -> Self: ...
 
 @final
@@ -113,6 +115,7 @@ class ElasticField(Shape):
 
 def monomials(x: _Floats, degree: int) -> _Floats: ...
 def monomial_degrees(variables: int, degree: int) -> list[int]: ...
+def tensor_splines(x: _Floats, intervals: int) -> _Floats: ...
 
 @final
 class Table(Shape):

@@ -76,7 +76,7 @@ class Coverage:
                 f"coverage: 'basis' is {given[:3]}, expected a degree and 0 or 1; learn the bundle again"
             )
         basis = Basis(int(given[0]), given[1] == 1.0)
-        count = 1 + len(basis.degrees(channels))
+        count = 1 + basis.count(channels)
         shapes = {"middle": (channels,), "half": (channels,), "root": (count, count), "most": (1,)}
         values = {name: np.asarray(arrays.get(f"coverage_{name}", np.zeros(0)), float) for name in shapes}
         wrong = [name for name, shape in shapes.items() if values[name].shape != shape]

@@ -90,7 +90,7 @@ mod _core {
     #[pymodule_export]
     use super::registry::effects;
     #[pymodule_export]
-    use super::rod::{PyRod, PyRodField, monomial_degrees, monomials};
+    use super::rod::{PyRod, PyRodField, monomial_degrees, monomials, tensor_splines};
     #[pymodule_export]
     use super::scattered::PyScattered;
     #[pymodule_export]

@@ -1,7 +1,7 @@
 //! Bindings of the rod and its load fields.
 
 use crate::python::shape::PyShape;
-use crate::rod::{Monomials, Rod, RodField};
+use crate::rod::{Form, Monomials, Rod, RodField, Splines, Terms};
 use crate::room::zeros;
 use crate::{Error, Result};
 use numpy::{
@@ -20,9 +20,11 @@ pub struct PyRod {
 #[pymethods]
 impl PyRod {
     /// `base` (3,) mm, `centre` and `scale` (C,), `degree`, `angles` (1 + F, 2K) rad, `lengths` (1 + 2K + K(2K+1), K) mm.
-    /// In a `pulled` rod the angles are a polynomial of the pulls of two cables a command.
+    /// In a `pulled` rod the angles are a polynomial of the pulls of two cables a command; with `intervals` they are sums of
+    /// tensor products of cubic B-splines, so many intervals of each command, whatever the degree.
     #[new]
-    #[pyo3(signature = (base, centre, scale, degree, angles, lengths, pulled = false))]
+    #[pyo3(signature = (base, centre, scale, degree, angles, lengths, pulled = false, intervals = 0))]
+    #[allow(clippy::too_many_arguments)]
     fn new(
         base: PyReadonlyArray1<'_, f64>,
         centre: PyReadonlyArray1<'_, f64>,
@@ -31,7 +33,19 @@ impl PyRod {
         angles: PyReadonlyArray2<'_, f64>,
         lengths: PyReadonlyArray2<'_, f64>,
         pulled: bool,
+        intervals: usize,
     ) -> PyResult<PyClassInitializer<Self>> {
+        let form = match (pulled, intervals) {
+            (true, 1..) => {
+                return Err(Error::Invalid(format!(
+                    "a rod of pulls with {intervals} spline intervals; a rod has pulls or splines, not both"
+                ))
+                .into());
+            }
+            (false, 1..) => Form::Splines { intervals },
+            (true, _) => Form::Pulls { degree },
+            _ => Form::Powers { degree },
+        };
         let row = |array: &PyReadonlyArray1<'_, f64>| {
             array.as_array().iter().copied().collect::<Vec<f64>>()
         };
@@ -49,8 +63,7 @@ impl PyRod {
             base,
             row(&centre),
             row(&scale),
-            degree,
-            pulled,
+            form,
             flat(&angles),
             flat(&lengths),
         )?;
@@ -106,11 +119,32 @@ pub fn monomials<'py>(
     x: PyReadonlyArray2<'py, f64>,
     degree: usize,
 ) -> PyResult<Bound<'py, PyArray2<f64>>> {
+    let terms = Terms::Monomials(Monomials::new(x.shape()[1], degree)?);
+    values(py, x, terms)
+}
+
+/// All tensor products (n, F) of cubic B-splines of the columns of `x` (n, C), `intervals` of each in −1 … 1, in the order of
+/// a rod's angle weights.
+#[pyfunction]
+pub fn tensor_splines<'py>(
+    py: Python<'py>,
+    x: PyReadonlyArray2<'py, f64>,
+    intervals: usize,
+) -> PyResult<Bound<'py, PyArray2<f64>>> {
+    let terms = Terms::Splines(Splines::new(x.shape()[1], intervals)?);
+    values(py, x, terms)
+}
+
+/// The terms (n, F) at the rows of `x` (n, C).
+fn values<'py>(
+    py: Python<'py>,
+    x: PyReadonlyArray2<'py, f64>,
+    terms: Terms,
+) -> PyResult<Bound<'py, PyArray2<f64>>> {
     let (n, variables) = (x.shape()[0], x.shape()[1]);
-    let terms = Monomials::new(variables, degree)?;
     let rows: Vec<f64> = x.as_array().iter().copied().collect();
-    let count = terms.len();
-    let mut out = zeros("monomials (rows, terms)", &[n, count])?;
+    let count = terms.count();
+    let mut out = zeros("terms of a map (rows, terms)", &[n, count])?;
     let out = py.detach(move || {
         for (x, out) in rows
             .chunks_exact(variables)

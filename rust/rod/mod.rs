@@ -7,7 +7,8 @@
 //! Commands are normalised, q = (u − centre)/scale; all 2K angles are one polynomial of q (degree 1..5, monomials in
 //! graded order, intercept first), and every chord length (mm) is a quadratic of the 2K angles. In a `pulled` rod the
 //! polynomial is one of the pulls of two cables a command, max(q, 0) and max(−q, 0), all C of the first before those of the
-//! second: a cable that falls slack no longer counts, which puts a kink at the centre.
+//! second: a cable that falls slack no longer counts, which puts a kink at the centre. In a `splined` rod B-splines take
+//! the place of the monomials.
 //! Evaluation is closed form and smooth through the straight pose (β = 0). Limits: β beyond π folds back; outside the
 //! fitted commands a cubic grows fast and nothing is clamped. Fitting is done in `softmap_edge/rod/`.
 //! `polynomial` holds the polynomials, `field` what loads do to the rod.
@@ -24,7 +25,7 @@ pub use elastic::ElasticRod;
 pub use elastic_field::ElasticField;
 pub use field::{Load, RodField};
 pub use layout::{Layout, Tendon};
-pub use polynomial::Monomials;
+pub use polynomial::{Monomials, Splines, Terms};
 
 use crate::error::{Result, invalid};
 use crate::room::with_few;
@@ -42,6 +43,17 @@ fn finite(numbers: &[f64], what: &str) -> Result<()> {
     }
 }
 
+/// The form of the map from commands to angles.
+#[derive(Debug, Clone, Copy)]
+pub enum Form {
+    /// A polynomial of the commands.
+    Powers { degree: usize },
+    /// A polynomial of the pulls of two cables a command.
+    Pulls { degree: usize },
+    /// Tensor products of cubic B-splines of the commands.
+    Splines { intervals: usize },
+}
+
 /// The regressed chord-angle rod: C commands to K markers.
 #[derive(Debug, Clone)]
 pub struct Rod {
@@ -54,14 +66,13 @@ pub struct Rod {
 }
 
 impl Rod {
-    /// Build from base point (mm), command centre and scale (C,), `degree`, whether the polynomial is one of the pulls, angle
-    /// weights (1 + F, 2K) in rad and length weights (1 + 2K + K(2K+1), K) in mm, both row-major with the intercept first.
+    /// Build from base point (mm), command centre and scale (C,), the form of the map, angle weights (1 + F, 2K) in rad and
+    /// length weights (1 + 2K + K(2K+1), K) in mm, both row-major with the intercept first.
     pub fn new(
         base: [f64; 3],
         centre: Vec<f64>,
         scale: Vec<f64>,
-        degree: usize,
-        pulled: bool,
+        form: Form,
         angles: Vec<f64>,
         lengths: Vec<f64>,
     ) -> Result<Self> {
@@ -81,23 +92,28 @@ impl Rod {
                 scale[at]
             )));
         }
-        let monomials = Monomials::new(scale.len() * if pulled { 2 } else { 1 }, degree)?;
-        let rows = monomials.len() + 1;
+        let pulled = matches!(form, Form::Pulls { .. });
+        let terms = match form {
+            Form::Powers { degree } => Terms::Monomials(Monomials::new(scale.len(), degree)?),
+            Form::Pulls { degree } => Terms::Monomials(Monomials::new(2 * scale.len(), degree)?),
+            Form::Splines { intervals } => Terms::Splines(Splines::new(scale.len(), intervals)?),
+        };
+        let rows = terms.count() + 1;
         if angles.is_empty() || !angles.len().is_multiple_of(2 * rows) {
             return Err(invalid(format!(
-                "a rod's angle weights hold {} numbers, expected {rows} rows (degree {degree}, {} channels) of two per chord",
+                "a rod's angle weights hold {} numbers, expected {rows} rows ({form:?}, {} channels) of two per chord",
                 angles.len(),
                 scale.len()
             )));
         }
         let chords = angles.len() / (2 * rows);
-        let quadratic = Monomials::new(2 * chords, 2)?;
+        let quadratic = Terms::Monomials(Monomials::new(2 * chords, 2)?);
         Ok(Self {
             base,
             centre,
             scale,
             pulled,
-            angles: Polynomial::new(monomials, angles, 2 * chords, "a rod's angle weights")?,
+            angles: Polynomial::new(terms, angles, 2 * chords, "a rod's angle weights")?,
             lengths: Polynomial::new(quadratic, lengths, chords, "a rod's length weights")?,
         })
     }

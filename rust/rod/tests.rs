@@ -23,8 +23,7 @@ fn rod(offset: f64) -> Rod {
         [1.0, 2.0, -3.0],
         vec![1.0, -1.0],
         vec![10.0, 8.0],
-        2,
-        false,
+        Form::Powers { degree: 2 },
         angles,
         lengths,
     )
@@ -41,8 +40,7 @@ fn pulled() -> Rod {
         [1.0, 2.0, -3.0],
         vec![1.0, -1.0],
         vec![10.0, 8.0],
-        2,
-        true,
+        Form::Pulls { degree: 2 },
         (0..15 * 4).map(number).collect(),
         lengths,
     )
@@ -79,6 +77,58 @@ fn a_pulled_rod_bends_by_one_cable_of_a_command_or_by_the_other() {
         .zip(points([1.0 + 1e-9, 3.0]))
     {
         assert!((below - above).abs() < 1e-6);
+    }
+}
+
+#[test]
+fn a_splined_rod_is_smooth_and_continues_linearly() {
+    let number = |i: usize| 0.3 * ((7 * i % 11) as f64 / 11.0 - 0.4);
+    let mut lengths = vec![0.0; 15 * 2];
+    lengths[..2].copy_from_slice(&LENGTHS);
+    let rod = Rod::new(
+        [1.0, 2.0, -3.0],
+        vec![1.0, -1.0],
+        vec![10.0, 8.0],
+        Form::Splines { intervals: 3 },
+        (0..37 * 4).map(number).collect(),
+        lengths,
+    )
+    .expect("a valid rod");
+    for u in [[6.0, 3.0], [1.0, -8.5], [13.0, 3.0], [-14.0, 12.0]] {
+        let mut slopes = [f64::NAN; 12];
+        rod.jacobian(&u, &mut slopes);
+        for (own, other) in slopes.iter().zip(numeric(&rod, &u)) {
+            assert!((own - other).abs() < 1e-5, "{own} {other} at {u:?}");
+        }
+    }
+}
+
+#[test]
+fn splines_sum_to_one_and_follow_a_line_beyond_their_ends() {
+    let splines = Terms::Splines(Splines::new(2, 5).expect("splines"));
+    let values = |x: [f64; 2]| {
+        let mut out = vec![f64::NAN; splines.count()];
+        splines.values(&x, &mut out);
+        out
+    };
+    // Coefficients at the Greville places of the first axis give that coordinate.
+    let line = |x: [f64; 2]| -> f64 {
+        let place = |i: usize| -1.0 + 0.4 * (i as f64 - 1.0);
+        let terms = values(x).into_iter().enumerate();
+        terms.map(|(at, b)| b * place(at / 8)).sum()
+    };
+    for x in [
+        [0.3, -0.7],
+        [-1.0, 1.0],
+        [1.0, 0.2],
+        [1.7, -2.0],
+        [-3.0, 0.9],
+    ] {
+        assert!((values(x).iter().sum::<f64>() - 1.0).abs() < 1e-12);
+        assert!((line(x) - x[0]).abs() < 1e-12, "{x:?}");
+    }
+    for (variables, intervals) in [(0, 4), (2, 0), (7, 1), (2, usize::MAX), (3, 15)] {
+        assert!(Splines::new(variables, intervals).is_err());
     }
 }
 
@@ -276,8 +326,7 @@ fn bad_numbers_are_refused_in_one_line() {
             [0.0; 3],
             vec![0.0],
             vec![scale],
-            degree,
-            false,
+            Form::Powers { degree },
             vec![0.1; 2 * rows],
             lengths.clone(),
         )

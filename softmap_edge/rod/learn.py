@@ -55,8 +55,8 @@ class LearnedRod:
     `chain_names` and `chain_params` (by label) are the effects of the bundle's chain. `learned_in` describes each of
     them and its alternatives. `error_mm` is the blocked cross-validation RMS over all markers, `per_fold_mm` (blocks,),
     `per_marker_mm` (K,). `form_error` (K, 3) mm is its RMS by marker and axis. `residuals` (n, K, 3) mm (predicted −
-    seen) are those at the `frames` of each run. `coverage` describes the commands of these frames. `numbers` are the
-    fitted numbers of an elastic rod; `notes` are warnings.
+    seen) are those at the `frames` of each run, NaN where other blocks do not cover the command. `coverage` describes
+    the commands of these frames. `numbers` are the fitted numbers of an elastic rod; `notes` are warnings.
     """
 
     rod: Rod
@@ -152,9 +152,10 @@ def learn(
 def _learned(seen: Seen, fitted: Fitted, made_from: Mapping[str, Any]) -> LearnedRod:
     """Put together what was fitted, how far off it is, and what to beware of."""
     residuals, memory = fitted.residuals, fitted.memory
+    tested = residuals[np.isfinite(residuals).all(axis=(1, 2))]
     per_fold = [rms(residuals[test]) for _, test in fitted.parts]
-    per_marker = [rms(residuals[:, k]) for k in range(residuals.shape[1])]
-    notes = (*_notes(seen, fitted, rms(residuals)), *memory.notes)
+    per_marker = [rms(tested[:, k]) for k in range(tested.shape[1])]
+    notes = (*_notes(seen, fitted, rms(tested)), *memory.notes)
     more: dict[str, Any] = {
         "per_fold_mm": [round(error, 4) for error in per_fold],
         "per_marker_mm": [round(error, 4) for error in per_marker],
@@ -171,10 +172,10 @@ def _learned(seen: Seen, fitted: Fitted, made_from: Mapping[str, Any]) -> Learne
         input=seen.source,
         chain_names=memory.names,
         chain_params=dict(memory.params),
-        error_mm=rms(residuals),
+        error_mm=rms(tested),
         per_fold_mm=np.array(per_fold),
         per_marker_mm=np.array(per_marker),
-        form_error=np.sqrt((residuals**2).mean(axis=0)),
+        form_error=np.sqrt((tested**2).mean(axis=0)),
         residuals=residuals,
         frames=seen.frames,
         coverage=Coverage.of(memory.acting(seen.drive), fitted.basis),

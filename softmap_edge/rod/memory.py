@@ -188,7 +188,7 @@ class _Search:
             family
             for family in self.families
             if not (family.fast and self.seen.slow or family.timed and self.seen.timeless)
-            and not (family.static and self.static.splined)
+            and not (family.static and (self.static.splined or self.static.basis.intervals))
         ]
         every = (_Represented(f, self.static.losses(acting, self._beside(f, found))) for f in possible)
         return sorted(every, key=lambda one: float(one.losses.sum()))

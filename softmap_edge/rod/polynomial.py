@@ -25,7 +25,17 @@ from softmap_edge.model import TIP_PER_NEWTON
 from softmap_edge.rod.covered_folds import covered_folds, search_folds
 from softmap_edge.rod.memory import FEW_CHANNELS, FRAMES, Memory, find_memory, refined_memory
 from softmap_edge.rod.reference_run import Fitted, Seen
-from softmap_edge.rod.regression import RIDGE, RIDGE_STEPS, SQUARES, Basis, Regression, choose_basis
+from softmap_edge.rod.regression import (
+    RIDGE,
+    RIDGE_STEPS,
+    SPLINE_DEGREE,
+    SQUARES,
+    Basis,
+    Regression,
+    Weights,
+    choose_basis,
+    compiled,
+)
 from softmap_edge.rod.static_map import StaticMap
 
 Floats = NDArray[np.float64]
@@ -34,6 +44,8 @@ Arrays = dict[str, NDArray[np.generic]]
 DEGREES = (1, 2, 3)
 DEGREES_OF_ONE = (1, 2, 3, 4, 5)  # of a single command: the highest that the frames identify, without a ridge
 CUBIC = 3
+INTERVALS, MOST_INTERVALS = 8, 64  # of splines: eight make (8 + 3)² = 121 terms of two commands
+SPLINED_CHANNELS = 2  # up to here splines are tried; of three commands they would have 1331 terms
 LEVEL, FAR_BELOW = 1e-6, 20.0  # of the range of markers: a height below this is constant, an output; base of outputs
 LOCK = 1.0  # the servos hold, so a load bends each chord into an S and leaves its ends' directions alone
 
@@ -45,7 +57,7 @@ class RodParameters:
     `base` (3,) mm, `centre` and `scale` (C,) in command units, `degree`, `angles` (1 + F, 2K) rad, `lengths` (1 + G, K)
     mm, the nominal `compliance` of its load fields in N⁻¹·mm⁻² and their `lock`: how far the tendons hold each chord's
     mean bending against a load, 0 (not at all) to 1 (motors that hold, tendons that do not stretch). `pulled` says that
-    the polynomial is one of the pulls of two cables a command.
+    the polynomial is one of the pulls of two cables a command; with `intervals` it is a sum of splines of so many.
     """
 
     base: Floats
@@ -57,10 +69,16 @@ class RodParameters:
     compliance: float
     lock: float = LOCK
     pulled: bool = False
+    intervals: int = 0
+
+    @property
+    def basis(self) -> Basis:
+        """The terms of its map."""
+        return Basis(self.degree, self.pulled, self.intervals)
 
     def compiled(self) -> _core.Rod:
         """Return the compiled rod: commands (n, C) to markers (n, 3K) mm."""
-        return _core.Rod(self.base, self.centre, self.scale, self.degree, self.angles, self.lengths, self.pulled)
+        return compiled(Weights(self.centre, self.scale, self.angles, self.lengths), self.base, self.basis)
 
     def fields(self) -> dict[str, _core.RodField]:
         """Return its load fields by name: mm per N of tip force, mm per g for a nominal weight of 1 N."""
@@ -70,13 +88,12 @@ class RodParameters:
     def to_arrays(self) -> Arrays:
         """Return the arrays of `prior.npz`."""
         arrays: Arrays = {name: getattr(self, name) for name in ("base", "centre", "scale", "angles", "lengths")}
-        single = {name: getattr(self, name) for name in ("degree", "compliance", "lock", "pulled")}
+        single = {name: getattr(self, name) for name in ("degree", "compliance", "lock", "pulled", "intervals")}
         return arrays | {name: np.array([value]) for name, value in single.items()}
 
     def __str__(self) -> str:
         """Say in a line what it is."""
-        pulls = " in the pulls of the cables" if self.pulled else ""
-        return f"rod of {self.lengths.shape[1]} chords, degree {self.degree}{pulls}"
+        return f"rod of {self.lengths.shape[1]} chords, {self.basis}"
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[np.generic]]) -> RodParameters:
@@ -86,7 +103,7 @@ class RodParameters:
             SoftmapError: an array is missing or has the wrong number of axes.
         """
         axes = {"base": 1, "centre": 1, "scale": 1, "angles": 2, "lengths": 2, "degree": 1, "compliance": 1, "lock": 1}
-        axes |= {"pulled": 1} if "pulled" in arrays else {}  # a bundle of an earlier version has none
+        axes |= {name: 1 for name in ("pulled", "intervals") if name in arrays}  # earlier versions have none
         values: dict[str, Floats] = {}
         for name, ndim in axes.items():
             if name not in arrays or np.ndim(arrays[name]) != ndim:
@@ -94,14 +111,23 @@ class RodParameters:
                 raise SoftmapError(f"rod: array '{name}' is {got}, expected {ndim} axes; learn the bundle again")
             values[name] = np.ascontiguousarray(arrays[name], float)
         single = {name: values.pop(name).tolist() for name in ("degree", "compliance", "lock")}
-        single["pulled"] = values.pop("pulled", np.zeros(1)).tolist()
+        single |= {name: values.pop(name, np.zeros(1)).tolist() for name in ("pulled", "intervals")}
         for name, value in single.items():
             if len(value) != 1:
                 raise SoftmapError(f"rod: '{name}' holds {len(value)} numbers, expected one; learn the bundle again")
-        (degree,), (compliance,), (lock,), (pulled,) = single.values()
+        (degree,), (compliance,), (lock,), (pulled,), (intervals,) = single.values()
+        if not 0 <= intervals <= MOST_INTERVALS or intervals % 1:
+            raise SoftmapError(f"rod: {intervals:g} intervals, expected 0 to {MOST_INTERVALS}; learn the bundle again")
         if degree not in range(1, len(RIDGE) + 1):
             raise SoftmapError(f"rod: degree {degree}, expected 1 to {len(RIDGE)}; learn the bundle again")
-        return cls(degree=int(degree), compliance=compliance, lock=lock, pulled=pulled == 1.0, **values)
+        return cls(
+            degree=int(degree),
+            compliance=compliance,
+            lock=lock,
+            pulled=pulled == 1.0,
+            intervals=int(intervals),
+            **values,
+        )
 
 
 def fit_polynomial(
@@ -110,8 +136,8 @@ def fit_polynomial(
     """Fit a polynomial rod with its memory: basis and ridge by cross-validation, `static` for no memory."""
     parts, _ = covered_folds(seen, Basis(1), blocks, gap_s)
     bases = _bases(seen, min(len(train) for train, _ in parts), degree)
-    # Blocks are covered in the terms of the richest map; of a single command, or of many, in squares: no log has all.
-    richest = bases[-1] if 1 < seen.drive.channels <= FEW_CHANNELS else SQUARES
+    # Blocks are covered in the terms of the richest polynomial; of one command, or of many, in squares: no log has all.
+    richest = [b for b in bases if not b.intervals][-1] if 1 < seen.drive.channels <= FEW_CHANNELS else SQUARES
     parts, gap_s = covered_folds(seen, richest, blocks, gap_s)
     fit = Regression(seen.markers, _base(base, seen.markers), parts)
     memory = Memory()
@@ -128,10 +154,11 @@ def fit_polynomial(
     weights = fit.weights(u, chosen, ridge)
     rod = RodParameters(
         fit.base, weights.centre, weights.scale, chosen.degree, weights.angles, weights.lengths, _nominal(fit.lengths),
-        pulled=chosen.pulled,
+        pulled=chosen.pulled, intervals=chosen.intervals,
     )  # fmt: skip
     residuals = fit.cross_validate(u, chosen, ridge)
-    made_from = {"degree": chosen.degree, "pulled": chosen.pulled, "ridge": ridge, "gap_s": round(gap_s, 6)}
+    made_from = {"degree": chosen.degree, "pulled": chosen.pulled, "intervals": chosen.intervals, "ridge": ridge}
+    made_from["gap_s"] = round(gap_s, 6)
     return Fitted(rod, memory, residuals, parts, made_from, basis=chosen if chosen.pulled else SQUARES)
 
 
@@ -142,9 +169,12 @@ def _bases(seen: Seen, smallest: int, degree: int | None) -> tuple[Basis, ...]:
     bases = [Basis(d) for d in some]
     if channels > 1 and np.any((commands.min(axis=0) < 0) & (commands.max(axis=0) > 0)):
         bases += [Basis(d, True) for d in some if d < (CUBIC if channels > FEW_CHANNELS else CUBIC + 1)]
-    found = tuple(basis for basis in bases if 2 * len(basis.degrees(channels)) < smallest)
+    found = tuple(basis for basis in bases if 2 * basis.count(channels) < smallest)
     found = found if channels > 1 else found[-1:]
-    if not any(not basis.pulled for basis in found):
+    splines = Basis(SPLINE_DEGREE, intervals=INTERVALS)
+    if degree is None and channels <= SPLINED_CHANNELS and splines.count(channels) < smallest:
+        found = (*found, splines)  # their smoothness is chosen, so they need fewer frames than numbers without a ridge
+    if not any(not basis.pulled and not basis.intervals for basis in found):
         raise RunError(
             f"{len(seen.t)} usable frames leave {smallest} to learn from outside a block, too few for a polynomial "
             f"of {channels} commands; record longer, use fewer blocks or a smaller gap_s"
@@ -156,11 +186,13 @@ def _memory(
     thinned: Seen, parts: Folds, fit: Regression, commanded: Floats, bases: tuple[Basis, ...], seed: int
 ) -> Memory:
     """Find the memory with the map of the commands alone, or with a richer one for few channels."""
-    chosen, _ = choose_basis(fit, commanded, bases)
+    chosen, ridge = choose_basis(fit, commanded, bases)
+    plane = _plane(Regression(thinned.markers, fit.base, parts))
+    if chosen.intervals:
+        return find_memory(thinned, StaticMap(plane, parts, chosen, ridge), seed)
     most = max(chosen.degree, CUBIC if thinned.drive.channels <= FEW_CHANNELS else 1)
-    alike = [basis for basis in bases if basis.pulled == chosen.pulled and basis.degree <= most]
-    few = Regression(thinned.markers, fit.base, parts)
-    return find_memory(thinned, StaticMap(_plane(few), parts, max(alike, key=lambda basis: basis.degree)), seed)
+    alike = [one for one in bases if one.pulled == chosen.pulled and one.degree <= most and not one.intervals]
+    return find_memory(thinned, StaticMap(plane, parts, max(alike, key=lambda basis: basis.degree)), seed)
 
 
 def _plane(fit: Regression) -> Floats:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from itertools import product
 
 import numpy as np
@@ -23,18 +23,26 @@ Floats = NDArray[np.float64]
 RIDGE = (3e-5, 9e-4, 3e-4, 3e-4, 3e-4)  # by degree 1…5, for |q| ≤ 1
 RIDGE_STEPS = (1e-7, 1e-3, 1e-2, 0.1, 1.0 / 3.0, 1.0, 3.0, 10.0)
 LENGTH_RIDGE = 1e-10
+SPLINE_DEGREE = 3
+ROUGHNESS = 1e-3  # penalty of a roughness of 1, at a ridge of 1: ridges then reach from interpolation to a straight map
 
 
 @dataclass(frozen=True)
 class Basis:
-    """The terms of a static map: all monomials up to `degree` of the normalised commands, or of the pulls of cables.
+    """The terms of a static map.
 
-    A command above 0 pulls one cable and lets the other one fall slack, and the reverse: a `pulled` basis has two
-    variables a command, max(u, 0) and max(−u, 0). No polynomial of the command itself has that kink.
+    They are all monomials up to `degree` of the normalised commands, or of the pulls of cables, or with `intervals`
+    the tensor products of cubic B-splines, so many intervals a command. A command above 0 pulls one cable and lets the
+    other one fall slack, and the reverse: a `pulled` basis has two variables a command, max(u, 0) and max(−u, 0).
+
+    Splines are taken in the directions of their roughness R = Σ_c |second differences along c|². A ridge on each
+    direction, in proportion to its roughness, is then the smoothness penalty of a P-spline (Eilers and Marx 1996,
+    doi:10.1214/ss/1038425655).
     """
 
     degree: int
     pulled: bool = False
+    intervals: int = 0
 
     def span(self, u: Floats) -> tuple[Floats, Floats]:
         """Return `centre` and `scale` (C,) by which commands (n, C) are normalised to −1 … 1."""
@@ -44,19 +52,58 @@ class Basis:
         return np.zeros(u.shape[1]), np.where(most > 0, most, 1.0)
 
     def columns(self, u: Floats) -> Floats:
-        """Return the monomials (n, F) of commands (n, C), normalised by their own range."""
+        """Return the terms (n, F) of commands (n, C), normalised by their own range."""
         centre, scale = self.span(u)
         return self.terms((u - centre) / scale)
 
     def terms(self, q: Floats) -> Floats:
-        """Return the monomials (n, F) of normalised commands (n, C)."""
+        """Return the terms (n, F) of normalised commands (n, C)."""
+        if self.intervals:
+            splines = _core.tensor_splines(np.ascontiguousarray(q), self.intervals)
+            return np.asarray(splines @ _smooth(q.shape[1], self.intervals)[0])
         if self.pulled:
             q = np.concatenate([np.maximum(q, 0.0), np.maximum(-q, 0.0)], axis=1)
         return _core.monomials(np.ascontiguousarray(q), self.degree)
 
-    def degrees(self, channels: int) -> NDArray[np.int64]:
-        """Return the degree (F,) of each monomial."""
-        return np.array(_core.monomial_degrees((1 + self.pulled) * channels, self.degree))
+    def penalty(self, channels: int) -> Floats:
+        """Return the penalty (F,) of each term at a ridge of 1."""
+        if self.intervals:
+            return _smooth(channels, self.intervals)[1]
+        degrees = _core.monomial_degrees((1 + self.pulled) * channels, self.degree)
+        return np.array([RIDGE[degree - 1] for degree in degrees])
+
+    def in_core(self, weights: Floats, channels: int) -> Floats:
+        """Return weights (1 + F, outputs) of the terms, intercept first, as the rod of the core takes them."""
+        if not self.intervals:
+            return weights
+        return np.concatenate([weights[:1], _smooth(channels, self.intervals)[0] @ weights[1:]])
+
+    def count(self, channels: int) -> int:
+        """Return the number of terms F."""
+        return len(self.penalty(channels))
+
+    def __str__(self) -> str:
+        """Say in a few words what the map is made of."""
+        if self.intervals:
+            return f"cubic splines of {self.intervals} intervals"
+        return f"degree {self.degree}" + (" in the pulls of the cables" if self.pulled else "")
+
+
+@cache
+def _smooth(channels: int, intervals: int) -> tuple[Floats, Floats]:
+    """Return directions (S, F) of tensor splines by their roughness, without the constant, and their penalties (F,)."""
+    each = intervals + SPLINE_DEGREE
+    second = np.diff(np.eye(each), 2, axis=0)
+    rough: Floats = np.zeros((each**channels, each**channels))
+    for c in range(channels):
+        before, behind = np.eye(each**c), np.eye(each ** (channels - 1 - c))
+        rough = rough + np.asarray(np.kron(np.kron(before, second.T @ second), behind))
+    values, directions = np.linalg.eigh(rough)
+    flat = directions[:, : 2**channels]  # products of lines, which have no roughness
+    constant = np.full(len(rough), len(rough) ** -0.5)
+    flat = np.linalg.svd(flat - np.outer(constant, constant @ flat))[0][:, : 2**channels - 1]
+    penalty = np.concatenate([np.full(flat.shape[1], RIDGE[0]), ROUGHNESS * values[2**channels :]])
+    return np.concatenate([flat, directions[:, 2**channels :]], axis=1), penalty
 
 
 SQUARES = Basis(2)
@@ -116,28 +163,39 @@ class Regression:
         self.length_weights = _ridge(quadratic, self.lengths, np.full(quadratic.shape[1], LENGTH_RIDGE), folds)
 
     def angle_weights(self, u: Floats, basis: Basis, ridge: float) -> list[Floats]:
-        """Return the polynomial's weights (1 + F, 2K) of each fold, then of all frames."""
-        penalty = ridge * np.array(RIDGE)[basis.degrees(u.shape[1]) - 1]
-        return _ridge(basis.columns(u), self.angles, penalty, self.folds)
+        """Return the weights (1 + F, 2K) of each fold, then of all frames."""
+        return _ridge(basis.columns(u), self.angles, ridge * basis.penalty(u.shape[1]), self.folds)
 
     def cross_validate(self, u: Floats, basis: Basis, ridge: float) -> Floats:
-        """Return predicted − seen (n, K, 3) mm, each frame predicted by the fit that left out its block."""
-        residuals = np.empty_like(self.markers)
+        """Return predicted − seen (n, K, 3) mm, each frame predicted by the fit that left out its block.
+
+        A frame that no fold tests is NaN.
+        """
+        residuals = np.full_like(self.markers, np.nan)
         centre, scale = basis.span(u)
         for (_, test), angles, lengths in zip(self.folds, self.angle_weights(u, basis, ridge), self.length_weights):
-            rod = _core.Rod(self.base, centre, scale, basis.degree, angles, lengths, basis.pulled)
+            rod = compiled(Weights(centre, scale, basis.in_core(angles, u.shape[1]), lengths), self.base, basis)
             rows = np.ascontiguousarray(u[test])
             residuals[test] = rod.evaluate(rows).reshape(len(test), -1, 3) - self.markers[test]
         return residuals
 
     def losses(self, u: Floats, basis: Basis, ridge: float) -> Floats:
         """Return the cross-validation loss (folds,) in mm², summed over frames and markers."""
-        squares = (self.cross_validate(u, basis, ridge) ** 2).sum(axis=(1, 2))
+        squares = np.asarray((self.cross_validate(u, basis, ridge) ** 2).sum(axis=(1, 2)))
         return np.array([squares[test].sum() for _, test in self.folds])
 
     def weights(self, u: Floats, basis: Basis, ridge: float) -> Weights:
         """Return the rod fitted on all frames."""
-        return Weights(*basis.span(u), self.angle_weights(u, basis, ridge)[-1], self.length_weights[-1])
+        angles = basis.in_core(self.angle_weights(u, basis, ridge)[-1], u.shape[1])
+        return Weights(*basis.span(u), angles, self.length_weights[-1])
+
+
+def compiled(weights: Weights, base: Floats, basis: Basis) -> _core.Rod:
+    """Return the compiled rod: commands (n, C) to markers (n, 3K) mm."""
+    return _core.Rod(
+        base, weights.centre, weights.scale, basis.degree, weights.angles, weights.lengths, basis.pulled,
+        basis.intervals,
+    )  # fmt: skip
 
 
 def rms(residuals: Floats) -> float:
@@ -212,15 +270,18 @@ def choose_basis(
 ) -> tuple[Basis, float]:
     """Return the basis and the ridge with the lowest cross-validation error.
 
-    Pulls, which are twice as many variables, must lower it by more than one standard error over the folds.
+    A richer form, pulls and then splines, must lower it by more than one standard error over the folds. Splines always
+    have their choice of ridges, which is that of their smoothness.
     """
-    found: list[tuple[Floats, Basis, float]] = []
-    for pulled in (False, True):
-        every = [(fit.losses(u, *choice), *choice) for choice in product(bases, ridges) if choice[0].pulled == pulled]
-        found += [min(every, key=lambda one: float(one[0].sum()))] if every else []
-    first, last = found[0], found[-1]
-    fall = first[0] - last[0]
-    return last[1:] if float(fall.sum()) > standard_error(fall) else first[1:]
+    found: tuple[Floats, Basis, float] | None = None
+    for form in sorted({(basis.intervals, basis.pulled) for basis in bases}):
+        alike = [basis for basis in bases if (basis.intervals, basis.pulled) == form]
+        every = [(fit.losses(u, *choice), *choice) for choice in product(alike, RIDGE_STEPS if form[0] else ridges)]
+        best = min(every, key=lambda one: float(one[0].sum()))
+        if found is None or float((found[0] - best[0]).sum()) > standard_error(found[0] - best[0]):
+            found = best
+    assert found is not None
+    return found[1:]
 
 
 def standard_error(differences: Floats) -> float:

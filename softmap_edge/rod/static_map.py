@@ -1,6 +1,6 @@
-"""The static map that is solved again for every law of memory: a ridge on a polynomial (variable projection).
+"""The static map that is solved again for every law of memory: a ridge on its terms (variable projection).
 
-    targets (n, q) ≈ base(v) + [1, monomials(v)] W,   v = effective commands (n, C), or the pulls of their cables
+    targets (n, q) ≈ base(v) + [1, terms(v)] W,   v = effective commands (n, C)
 
 Targets are mm that represent the markers: chords turned into the plane, Σ over the chords below of length × angle.
 Their squared error is about that of the markers. With a described rod they are the coordinates of the markers, and
@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.folds import Folds
-from softmap_edge.rod.regression import RIDGE, RIDGE_STEPS, Basis, normalise
+from softmap_edge.rod.regression import RIDGE_STEPS, Basis, normalise
 from softmap_edge.rod.signals import splines
 
 Floats = NDArray[np.float64]
@@ -33,7 +33,7 @@ FLOOR = 1e-9  # of a column's mean square, added to each system: columns that fo
 
 @dataclass(frozen=True, eq=False)
 class StaticMap:
-    """Targets (n, q) mm, the folds of the cross-validation, and the `basis` of its polynomial.
+    """Targets (n, q) mm, the folds of the cross-validation, and the `basis` of its terms.
 
     A `splined` map has B-splines of each channel as well.
     """
@@ -80,7 +80,7 @@ class StaticMap:
 
     def _columns(self, acting: Floats) -> tuple[Floats, Floats]:
         """Return the columns (n, 1 + F) of the map and their penalties at a ridge of 1."""
-        penalty = np.append(0.0, np.array(RIDGE)[self.basis.degrees(acting.shape[1]) - 1])
+        penalty = np.append(0.0, self.basis.penalty(acting.shape[1]))
         rows = [np.ones((len(acting), 1)), self.basis.columns(acting)]
         if self.splined:
             q = normalise(acting)
