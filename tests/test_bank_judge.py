@@ -1,11 +1,17 @@
 """Scores by family: first family, claims on nulls, false identifications, a known law together with an unknown one."""
 
+import subprocess
+import sys
+
 import pytest
 
+from benches.bank import left_out
+from benches.bank.__main__ import decided
 from benches.bank.answers import answer_for, fits_family, matches
 from benches.bank.judge import table
 from benches.bank.judge_family import by_family, names_alike
 from benches.bank.judge_learned import together
+from softmap_edge.diagnosis import decision
 from softmap_edge.learned_in import LearnedIn
 
 ALIKE = {name: {name} for name in ("backlash", "friction", "gain", "eccentric_pulley", "latency", "creep", "dead_zone")}
@@ -114,3 +120,54 @@ def test_the_table_counts_what_is_scored():
     assert found["single, twice its background: right family"] == (1.0, 1)
     assert found["'identified' that is false"] == (pytest.approx(2 / 3), 3)
     assert found["nothing hidden, a name or an open map claimed"] == (1.0, 1)
+
+
+# --- leave one bank out -------------------------------------------------------------------------
+
+
+def scored(part, right, claims=(), number=0):
+    slice_, level = part.split("/")
+    return {
+        "slice": slice_, "level": level, "kind": "single", "case": f"{part}-{number}", "scored": True, "beside": None,
+        "first": right, "false_identified": False, "claims": list(claims),
+    }  # fmt: skip
+
+
+def bank(rights, claims=()):
+    return [scored(part, right, claims, i) for part, many in rights.items() for i, right in enumerate(many)]
+
+
+def test_a_slice_chooses_nothing_for_itself():
+    """The other constants are far better on one slice and a little worse on the others: they are not used there."""
+    shipped = bank({"A/real": [0, 0, 0, 0], "shop/floor": [1, 1, 1, 0], "odd/real": [1, 1, 1, 0]})
+    other = bank({"A/real": [1, 1, 1, 1], "shop/floor": [1, 1, 0, 0], "odd/real": [1, 1, 0, 0]})
+    sets = {"shipped": left_out.parts_of(shipped), "LEFT=0.3": left_out.parts_of(other)}
+    assert left_out.chosen(sets, "A/real") == "shipped"
+    assert left_out.chosen(sets, "shop/floor") == left_out.chosen(sets, "odd/real") == "LEFT=0.3"
+    table = left_out.text({"shipped": shipped, "LEFT=0.3": other}).splitlines()
+    assert table[0].startswith("answers that are right, 12 cases") and "0 (0 to 49), 4" in table[5]
+
+
+def test_odds_are_fitted_to_the_claims_of_the_other_slices():
+    def claims(doubts, right, count):
+        p = 1.0 / (1.0 + decision.ODDS_BASE + decision.ODDS_DOUBT * doubts)
+        return [{"probability": p, "itself": i < right, "true": i < right} for i in range(count)]
+
+    many = claims(0, 99, 100) + claims(1, 50, 100)  # a doubt is worth odds of 1 in truth
+    assert left_out.fitted_odds(many) == (0.01, 1.0)
+    assert left_out.calibration_error(many) > 3 * left_out.calibration_error(left_out.with_odds(many, 0.01, 1.0))
+    assert 0.0 < left_out.by_chance(many) < left_out.calibration_error(many)
+    rows = bank({"A/real": [1], "shop/floor": [1]}, many)
+    assert "0.01, 1" in left_out.text({"shipped": rows})
+
+
+def test_other_constants_are_set_before_the_diagnosis_reads_them():
+    script = (
+        "from benches.bank.__main__ import decided; decided('VISIBLE_MM=0.5,FORM=0.1')\n"
+        "from softmap_edge.diagnosis import decision, diagnose; print(diagnose.VISIBLE_MM, decision.FORM)"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["0.5", "0.1"]
+    for wrong in ("FROM=0.1", "np=3", "FORM=x"):
+        with pytest.raises(ValueError):
+            decided(wrong)

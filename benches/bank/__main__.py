@@ -4,6 +4,8 @@ python -m benches.bank --share 0.1            a tenth of the development seeds
 python -m benches.bank --seeds reporting      all, on seeds on which no threshold was set (docs/bank.md)
 python -m benches.bank --make                 only make the cases; --judge: only score those that are made
 python -m benches.bank --table                print the table of the rows that exist
+python -m benches.bank --set FORM=0.1 --out OTHER       score with another constant of decision.py, for the next line
+python -m benches.bank --left-out OTHER,THIRD           each slice with the constants that are best on the other slices
 
 An interrupted run continues where it stopped. After a change of the diagnosis only the diagnosis is repeated.
 """
@@ -78,12 +80,24 @@ def main(argv: Sequence[str] | None = None) -> int:
     step.add_argument("--make", action="store_true", help="only make the cases")
     step.add_argument("--judge", action="store_true", help="only diagnose and score cases that are made")
     step.add_argument("--table", action="store_true", help="only print the table")
+    step.add_argument("--left-out", metavar="OUTS", help="folders of rows with other constants, with commas")
+    parser.add_argument("--set", default="", metavar="NAME=VALUE", help="other constants of decision.py, with commas")
     parser.add_argument("--json", action="store_true")
     args = parser.parse_args(argv)
     parts, kinds = [tuple(p.split("/")) for p in args.parts.split(",")], args.kinds.split(",")
     wrong = [k for k in kinds if k not in KINDS] + ["/".join(p) for p in parts if p not in PARTS]
     if wrong:
         parser.error(f"no '{wrong[0]}'; kinds are {', '.join(KINDS)}, parts {', '.join('/'.join(p) for p in PARTS)}")
+    try:
+        decided(args.set)
+    except ValueError as error:
+        parser.error(str(error))
+    if args.left_out:
+        from benches.bank import left_out
+
+        outs = [args.out, *map(Path, args.left_out.split(","))]
+        print(left_out.text({set_of(rows): rows for out in outs if (rows := rows_in(out, args.seeds))}))
+        return 0
     cases = args.cases or args.out / "cases"
     args.out.mkdir(parents=True, exist_ok=True)
     wanted = list(tasks(args.seeds, args.share, kinds, parts))  # type: ignore[arg-type]
@@ -91,7 +105,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         _make(wanted, cases, args.jobs)
         return 0
     if not args.table:
-        _judge(wanted, cases, args.out, args.jobs, only_made=args.judge)
+        _judge(wanted, cases, args.out, args.jobs, args.judge, args.set)
     from benches.bank.judge import parts_of, table, text
 
     rows = rows_in(args.out, args.seeds)
@@ -110,9 +124,29 @@ def _make(wanted: list[Task], cases: Path, jobs: int) -> None:
     _each(make, left, jobs, lambda row: f"{row['hidden']} {row['seconds']} s")
 
 
-def _judge(wanted: list[Task], cases: Path, out: Path, jobs: int, only_made: bool) -> None:
+def decided(constants: str) -> None:
+    """Set constants of the decision in this process, `FORM=0.1,LEFT=0.2`.
+
+    Raises:
+        ValueError: decision.py has no such constant, or its value is no number.
+    """
+    from softmap_edge.diagnosis import decision
+
+    for one in filter(None, constants.split(",")):
+        name, _, value = one.partition("=")
+        if not name.isupper() or not isinstance(getattr(decision, name, None), float):
+            raise ValueError(f"decision.py has no constant '{name}'; give NAME=VALUE, as in FORM=0.1")
+        setattr(decision, name, float(value))
+
+
+def set_of(rows: Sequence[dict[str, Any]]) -> str:
+    """Return the constants with which rows were scored."""
+    return str(rows[0]["code"]).partition(" ")[2] or "shipped"
+
+
+def _judge(wanted: list[Task], cases: Path, out: Path, jobs: int, only_made: bool, constants: str) -> None:
     """Diagnose and score the cases without a row of this code; make missing cases first unless `only_made`."""
-    now = code()
+    now = f"{code()} {constants}".strip()
 
     def finished(task: Task) -> bool:
         path = kept(task, out)
@@ -126,16 +160,22 @@ def _judge(wanted: list[Task], cases: Path, out: Path, jobs: int, only_made: boo
     wanted = [task for task in wanted if not only_made or Kept(cases / name_of(task)).is_made]
     left = [(task, str(cases), str(out), now) for task in wanted if not finished(task)]
     print(f"{len(wanted)} cases, {len(left)} to score, {jobs} at a time → {out}", file=sys.stderr)
-    _each(judge if only_made else work, left, jobs, lambda row: f"{row['hidden']} → {row['named']} {row['verdict']}")
+    what, said = judge if only_made else work, lambda row: f"{row['hidden']} → {row['named']} {row['verdict']}"
+    _each(what, left, jobs, said, constants)
 
 
 def _each(
-    what: Callable[[Job], dict[str, Any]], left: list[Job], jobs: int, said: Callable[[dict[str, Any]], str]
+    what: Callable[[Job], dict[str, Any]],
+    left: list[Job],
+    jobs: int,
+    said: Callable[[dict[str, Any]], str],
+    constants: str = "",
 ) -> None:
     """Run `what` on jobs, in parallel, with a line for each."""
     started = time.monotonic()
     fresh = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(max(1, min(jobs, len(left))), mp_context=fresh) as pool:
+    count = max(1, min(jobs, len(left)))
+    with ProcessPoolExecutor(count, mp_context=fresh, initializer=decided, initargs=(constants,)) as pool:
         running = [pool.submit(what, job) for job in left]
         for count, job in enumerate(as_completed(running), start=1):
             row = job.result()
