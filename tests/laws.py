@@ -302,7 +302,7 @@ ORACLES = {
     "dead_zone": lambda p, u, t: np.maximum(u - p["slack"][:, 0], 0.0) - np.maximum(-u - p["slack"][:, 1], 0.0),
     "tendon_creep": crept,
     "anchor_slip": slipped,
-    "zero_drift": lambda p, u, t: u + np.outer(np.minimum((t - t[0]) / 60.0, 30.0), p["rate"]),
+    "zero_drift": lambda p, u, t: u + np.outer(np.minimum((t - t[0]) / 60.0, 15.0), p["rate"]),
     "hysteresis": each(prandtl_ishlinskii),
     "creep": lambda p, u, t: (
         u + p["strength"] * 0.5 * (relaxed(u, t, p["tau"] * p["spread"]) + relaxed(u, t, p["tau"] / p["spread"]))

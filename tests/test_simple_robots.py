@@ -21,6 +21,7 @@ from softmap_edge.diagnosis.series import series
 from softmap_edge.errors import RunError
 from softmap_edge.experiment.choose import next_experiment
 from softmap_edge.report import figures
+from softmap_edge.rod.learn import learn
 
 LENGTH, RATE = 110.0, 10.0
 SILENT = ("nothing", "cannot_tell")
@@ -296,3 +297,87 @@ def test_a_fault_that_physics_may_explain_is_not_the_verdict():
     registry = {effect["name"]: effect for effect in _core.effects()}
     drift, time = Alternative((), "", "camera_drift", "frame drift"), Alternative((), "", "camera_drift", "time")
     assert not conclusion._physical([drift], registry) and conclusion._physical([drift, time], registry)
+
+
+# --- what tests with a finger in a physics engine found --------------------------------------------
+
+
+@pytest.mark.parametrize("gains", [(1.01, 1.01), (0.99, 1.015), (1.012, 0.99), (0.985, 1.004)])
+def test_gains_that_differ_a_little_from_day_to_day_are_no_creep(learned, gains):
+    """So near the noise, slow columns do as well as a static map by chance; what a static map can do is ordinary."""
+    found = diagnose(learned, arm_run(50 + int(1000 * gains[0]) % 7, lambda u: np.array(gains) * u))
+    assert found.verdict == "nothing" and not found.families and found.unexplained.ordinary_mm > 0.1
+
+
+@pytest.mark.parametrize(("gain", "gap"), [(0.9, 0.05), (0.9, 0.2), (0.85, 0.1)])
+def test_gain_and_play_are_neither_friction_nor_hysteresis(learned, gain, gap):
+    """One law alone does most of what both do, and leaves three to six times the floor."""
+    found = diagnose(learned, arm_run(31, lambda u: gain * both(gap, gap)(u)))
+    assert {effect.name for effect in found.effects} == {"gain", "backlash"}
+    assert found.error.after < 1.2 * found.error.floor
+
+
+def rarely(u):
+    """Commands of which the second leaves the middle of its range for seven seconds only."""
+    once = np.where((np.arange(len(u)) >= 360) & (np.arange(len(u)) < 430), 1.0, 0.6)
+    return np.column_stack([u[:, 0], once * u[:, 1]])
+
+
+def test_a_stop_that_one_block_alone_shows_is_kept(learned):
+    """The blocks without it say nothing of where it is, so there it stays where all blocks put it."""
+    (t, u), run = moves(32, 90.0), arm_run(32)
+    u = rarely(np.column_stack([u[:, 0], np.sin(t)]))
+    seen = arm(np.clip(u, [-0.75, -0.85], [0.75, 0.85])) + 0.1 * np.random.default_rng(131).normal(size=(len(t), 4, 3))
+    found = diagnose(learned, replace(run, command=50.0 * u, markers=seen))
+    assert [effect.name for effect in found.effects] == ["saturation"]
+    assert found.effects[0].params["saturation.above[1]"].value == pytest.approx(42.5, rel=0.03)
+
+
+def turned(p):
+    """Markers seen by a camera that leans by two degrees and stands 1 mm aside."""
+    lean = np.radians(2.0)
+    return p @ np.array([[np.cos(lean), 0.0, -np.sin(lean)], [0.0, 1.0, 0.0], [np.sin(lean), 0.0, np.cos(lean)]]) + [
+        1,
+        0,
+        0,
+    ]
+
+
+@pytest.mark.parametrize(("lift", "verdict"), [(0.0, "ambiguous"), (0.8, "measurement_fault")])
+def test_a_camera_that_leans_may_be_a_body_that_bends_unless_it_is_lifted(learned, lift, verdict):
+    """A learned model has neither weight nor curvature at rest, so it cannot exclude them; neither lifts a body."""
+    found = diagnose(learned, arm_run(33, more=lambda p: turned(p) + [0.0, 0.0, lift]))
+    assert [fault.name for fault in found.faults] == ["mount"] and found.verdict == verdict
+    others = {name for one in found.alternatives for name in one.effects}
+    assert others == ({"pre_curve", "gravity"} if lift == 0.0 else set())
+
+
+def test_a_fast_drift_of_a_zero_is_no_camera(learned):
+    found = diagnose(learned, arm_run(34, lambda u: u + np.linspace(0.0, 0.3, len(u))[:, None] * [1.0, 0.0]))
+    assert found.verdict == "identified" and [effect.name for effect in found.effects] == ["zero_drift"]
+
+
+def late(u, seconds, rate=RATE):
+    t = np.arange(len(u)) / rate
+    return np.column_stack([np.interp(t - s, t, column) for s, column in zip(seconds, u.T)])
+
+
+def test_a_delay_of_one_servo_is_a_matter_of_the_model_s_own_delay():
+    """All servos were late alike when the model was learned; now one is later: the own delay is fitted for each."""
+    model = learn_model(arm_run(35, lambda u: late(u, (0.15, 0.15)), seconds=150.0))
+    assert set(model.chain_names) == {"latency"}
+    run = arm_run(36, lambda u: late(u, (0.15, 0.45)))
+    found = diagnose(model, run)
+    assert found.sentence.startswith("Refit first: the model's own latency")
+    again, document = refit(model, run)
+    delays = [document["params"][f"latency.delay[{c}]"]["value"] for c in (0, 1)]
+    assert delays == pytest.approx([0.15, 0.45], abs=0.02)
+    assert not diagnose(again, arm_run(37, lambda u: late(u, (0.15, 0.45)))).effects
+    same, document = refit(model, arm_run(38, lambda u: late(u, (0.3, 0.3))))
+    assert list(document["params"]) == ["latency.delay"]  # one number for all does as well
+
+
+def test_two_orientations_are_noted_when_a_model_is_learned():
+    hanging, leaning = arm_run(39), replace(arm_run(40), gravity=np.array([0.6, 0.0, 0.8]))
+    assert "orientations 37 degrees apart" in str(learn([hanging, leaning], static=True))
+    assert "orientations" not in str(learn([hanging, arm_run(41)], static=True))

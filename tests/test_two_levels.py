@@ -461,7 +461,7 @@ def test_sets_of_laws_are_tried_until_one_leaves_nothing_unknown(monkeypatch):
     body = SimpleNamespace(record=SimpleNamespace(error_is_noise=False), ordinary_mm=0.1)
 
     def found(tried, confirmed, stands, left):
-        start = SimpleNamespace(steps=[step], body=body, left=0.5, few=None)
+        start = SimpleNamespace(steps=[step], body=body, left=0.5, few=None, fit=SimpleNamespace(effects=()))
         start.null, start.loss = np.full(8, 50.0), np.full(8, 25.0)
         monkeypatch.setattr(acceptance, "one_pose", lambda body: False)
         monkeypatch.setattr(together, "held_out_loss", lambda outcome: np.ones(8))

@@ -29,7 +29,7 @@ def alike(registry: Sequence[Row], orientations: int, roll: bool = True) -> dict
     `orientations` of the run, and whether it shows the `roll` of the body.
     """
     found = {effect["name"]: {effect["name"]} for effect in registry}
-    told = {word for word, seen in (("roll", roll), ("orientation", orientations > 1)) if seen}
+    told = {word for word, seen in (("roll", roll), ("orientation", orientations > 1), ("base", True)) if seen}
     for effect in registry:
         for other, resolved_by in effect["alike"].items():
             if other in found and resolved_by not in told:

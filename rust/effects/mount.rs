@@ -27,7 +27,11 @@ pub static EFFECT: Effect = Effect {
         signature: "Static and rigid, at home too: even the clamped base has moved.",
         reference: "Rotation vector by Rodrigues' formula.",
         experiment: ("points near the base, home revisits", 0.5),
-        alike: &[("routing", "roll")],
+        alike: &[
+            ("routing", "roll"),
+            ("pre_curve", "base"),
+            ("gravity", "base"),
+        ],
         needs: &[],
         parameters: &[
             turn("turn_x", "x component of the rotation vector"),

@@ -1,7 +1,7 @@
 //! Zero drift: the zero of a channel moves steadily during the run, as of a tendon that creeps through its knot.
 //!
-//! `x = u + rate·min(m, 30)`, mm, `rate` in mm/min per channel, `m` the minutes since the first sample. No memory of the
-//! commands. No log of some minutes says what comes after half an hour, so a controller that compensates it stops there.
+//! `x = u + rate·min(m, 15)`, mm, `rate` in mm/min per channel, `m` the minutes since the first sample. No memory of the
+//! commands. No log of some minutes says what comes after a quarter of an hour, so a controller that compensates it stops there.
 //! Limit: steady; a drift that ends is a `tendon_creep`, and one that comes at once an `anchor_slip`.
 
 use super::conditions::Context;
@@ -14,7 +14,7 @@ pub static EFFECT: Effect = Effect {
         family: "slow drift",
         stage: Stage::Transmission,
         kind: Kind::Effect,
-        formula: "x = u + rate · min(m, 30),  m minutes since the first sample",
+        formula: "x = u + rate · min(m, 15),  m minutes since the first sample",
         doc: "The zero of a channel moves steadily: a tendon slides through its knot, a servo loses steps, a cable settles.",
         signature: "An offset of the channel that grows with time from nothing, whatever is commanded; the base stays in place.",
         reference: "Linear drift, the first term of a drift in time.",
@@ -26,8 +26,8 @@ pub static EFFECT: Effect = Effect {
             "mm/min",
             0.0,
             0.2,
-            -2.0,
-            2.0,
+            -4.0,
+            4.0,
             "shortening that is added to the command each minute",
         )
         .per_channel()],
@@ -38,7 +38,7 @@ pub static EFFECT: Effect = Effect {
 struct ZeroDrift;
 
 /// Minutes after which the drift stays where it is.
-const LONGEST: f64 = 30.0;
+const LONGEST: f64 = 15.0;
 
 impl ChannelEffect for ZeroDrift {
     fn state_size(&self, _channels: usize) -> usize {

@@ -61,7 +61,8 @@ def accepted(row: Representative, ranking: Ranking, state: State, later: bool, v
             return False
         if not exceeds_model_error(row.family, row.moved_mm, state):
             return False
-    return row.moved_mm >= max(visible, float(noise), record.form_mm if static and not record.error_is_noise else 0.0)
+    own = state is not state.without_background() if record.error_is_noise else static
+    return row.moved_mm >= max(visible, float(noise), record.form_mm if own else 0.0)
 
 
 def exceeds_model_error(family: Family, moved_mm: float, state: State) -> bool:
@@ -81,9 +82,10 @@ def exceeds_model_error(family: Family, moved_mm: float, state: State) -> bool:
 
 
 def is_ordinary(ranking: Ranking, state: State) -> bool:
-    """Whether the best family is static, and all static misfit no more than ordinary imperfections may be."""
-    best = ranking.rows[0].family.kind if ranking.rows else ""
-    return best == "static" and ordinary_level(state.body) > 0.0 and not beyond_ordinary(ranking, state)
+    """Whether a static family is best, or near the best, and all static misfit is as ordinary imperfections may be."""
+    best = ranking.rows[0].loss if ranking.rows else ranking.before
+    static = any(row.family.kind == "static" and near(row.loss, best, ranking.before) for row in ranking.rows)
+    return static and ordinary_level(state.body) > 0.0 and not beyond_ordinary(ranking, state)
 
 
 def beyond_ordinary(ranking: Ranking, state: State) -> bool:

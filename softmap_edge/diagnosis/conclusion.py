@@ -54,6 +54,8 @@ from softmap_edge.own_effect import hashes
 Floats = NDArray[np.float64]
 Registry = Mapping[str, dict[str, Any]]
 
+ALONG = "mount.shift_z"  # along the axis of the straight body, where nothing that bends moves it
+
 
 @dataclass(frozen=True, eq=False)
 class Context:
@@ -186,7 +188,7 @@ def _family(outcome: Outcome, step: Step, proof: Certified | None, changes: Sequ
     resolved = answer.resolved and not any(set(one.effects) & set(effects) for one in changes)
     return FamilyFinding(
         answer.family.name, answer.family.kind, "resolved" if resolved else "open" if answer.open else "unknown",
-        tuple(dict.fromkeys(effects)), min(1.0, own / explained), answer.representative.moved_mm,
+        tuple(dict.fromkeys(effects)), float(np.clip(own / explained, 0.0, 1.0)), answer.representative.moved_mm,
         None if best is None else float(np.clip((float(answer.before.sum()) - best) / max(own, 1e-300), 0.0, 1.0)),
         tuple(law.name for law in answer.reaching if not law.effects), tuple(a.family.name for a in step.others),
         None if proof is None else proof.families.get(answer.family.name),
@@ -351,6 +353,8 @@ def _twins(
         why = f"{twin} and {member} look alike under the conditions of this run"
         if twin in fit.effects or twin not in (*fits.candidates, *never):
             continue
+        if by == "base" and (twin in fits.candidates or abs(fit.params.get(ALONG, 0.0)) > rule.VISIBLE_MM):
+            continue  # it was tried, and its form is another one; or no bend moves the body so
         if twin in fits.candidates:
             other = fits.get({*fit.effects, twin} - {member}, fit.space.split)
             rest = fits.without(fit, member)

@@ -170,7 +170,7 @@ def _apart(run: Run | Sequence[Run], held_out: Run | None, reference: Run | Sequ
 
 
 def refit(model: Model, run: Run | Sequence[Run], library: Any = None) -> tuple[Model, dict[str, Any]]:
-    """Fit the parameters of a model's own effects again to a run.
+    """Fit a model's own effects again to a run, with a number for each channel where that is far better.
 
     Returns:
         tuple: the model with new parameters, and a document with parameters ± sigma and the error before and after.
@@ -187,14 +187,26 @@ def refit(model: Model, run: Run | Sequence[Run], library: Any = None) -> tuple[
     now = space.scaled(record.own()[space.free])
     before = problem.null()
     fit = problem.fit(own, [now, space.start], free=own)
+    after = problem.held_out_mm(problem.fold_predictions(fit))
+    each = _for_each_channel(problem, fit)
+    if (apart := problem.held_out_mm(problem.fold_predictions(each))) <= OWN_FALL * after:
+        fit, after = each, apart
     sigma = problem.uncertainty(fit, max(1.0, fit.chi2 / max(1.0, problem.numbers)))
     numbers = parameters(record, fit, sigma, own)
     document = {
         "params": plain(numbers),
         "before_rms_mm": record.rms_mm(record.seen - before.predicted),
-        "after_held_out_rms_mm": problem.held_out_mm(problem.fold_predictions(fit)),
+        "after_held_out_rms_mm": after,
     }
     return _relearned(model.with_effects(own, _shared(fit)), numbers), document
+
+
+def _for_each_channel(problem: Problem, fit: Fit) -> Fit:
+    """Return a fit of a model's own effects with a number for each channel where it has one for all."""
+    space = problem.space(fit.effects, free=fit.effects, split=fit.effects)
+    known = dict(zip(fit.space.free_labels, fit.x))
+    start = [known[label] if label in known else known[label.split("[")[0]] for label in space.free_labels]
+    return problem.fit(fit.effects, [np.array(start)], free=fit.effects, split=fit.effects) if start else fit
 
 
 def _relearned(model: Model, numbers: Mapping[str, Number]) -> Model:

@@ -318,10 +318,10 @@ class Problem:
         """Return predictions (folds, K, F) with the parameters refitted on each fold's training frames."""
         if not len(fit.x):
             return np.tile(fit.predicted, (len(self.folds), 1, 1))
-        acts = np.sum(self.white(fit.slopes) ** 2, axis=1) >= 1.0  # else the prior alone moves it
         points = []
         for (train, _), (kernel, _) in zip(self.folds, self.fold_kernels):
             jacobian = self.whitener.shrink(fit.slopes[:, train], kernel).reshape(len(fit.x), -1)
+            acts = np.sum(jacobian**2, axis=1) >= 1.0  # else the prior alone moves it, in a fold that does not show it
             residual = self.whitener.shrink(fit.modes[train], kernel).ravel()
             step = newton_step(fit.space, fit.x, jacobian, residual, DAMPING) - fit.x
             step = np.where(acts, np.clip(step, -0.5, 0.5), 0.0)

@@ -94,18 +94,19 @@ def _reconsidered(outcome: Outcome, few: Iterable[Law], more: More, visible: flo
         or any(step.family.name == "wiring" for step in steps)
     ):
         return outcome
-    clear = len(steps) == 1 and steps[0].answer.resolved and not steps[0].others
-    if clear and outcome.left <= rule.LEFT:
-        return outcome
     best, best.loss = outcome, held_out_loss(outcome)
     explained = float(outcome.null.sum() - outcome.loss.sum())
+    excluded = _excluded_by(outcome)
+    if len(steps) == 1 and steps[0].answer.resolved and not steps[0].others and outcome.left <= rule.LEFT:
+        # One law that does nearly all gives way to nothing else.
+        few = () if excluded is None else filter(excluded, few)
     for laws in few:
         ordinary_mm = outcome.body.ordinary_mm
         other = _confirmed(laws, outcome, visible, rule.reaches(laws.loss, outcome.loss, explained))
         if other is None:
             continue
         other.loss = held_out_loss(other)
-        stands = _stands_for(other, best)
+        stands = (excluded is not None and excluded(laws)) or _stands_for(other, best)
         more(other, acceptance.MOST)
         other.loss = held_out_loss(other)
         if not stands and not _stands_for(other, best):
@@ -115,6 +116,27 @@ def _reconsidered(outcome: Outcome, few: Iterable[Law], more: More, visible: flo
         if best.left <= rule.LEFT:
             break
     return best if best is outcome else _with_others(best, outcome)
+
+
+def _excluded_by(outcome: Outcome) -> Callable[[Law], bool] | None:
+    """Return whether laws at once exclude the one law that was found.
+
+    Another law of its family is among them, and they leave only noise where it leaves more. What imperfections may
+    explain counts as left, because they can hide a second effect. None if no laws can.
+    """
+    if len(outcome.steps) != 1 or not outcome.fit.effects:
+        return None
+    first, numbers = set(outcome.fit.effects), outcome.body.problem.numbers
+    alone = held_out_loss(replace(outcome, state=outcome.state.without_background()))
+    if not acceptance.stands_out(alone, outcome.body, laws=True):
+        return None
+    family = outcome.steps[0].family
+
+    def excludes(laws: Law) -> bool:
+        others = {home(effect) for effect in set(laws.effects) - first}
+        return family in others and not first & set(laws.effects) and rule.clears(laws.loss, alone, numbers)
+
+    return excludes
 
 
 def _with_others(other: Outcome, outcome: Outcome) -> Outcome:

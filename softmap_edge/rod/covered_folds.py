@@ -4,7 +4,8 @@ A recording of one or two sweeps visits each command once or twice. A long block
 and its error measures the extrapolation of a polynomial, not its accuracy. So blocks and the gaps next to them are
 halved until the rest covers them, by the leverage of the terms of the map that is to be fitted (`coverage.py`). The few
 frames that stay uncovered are not tested: one of them can weigh more than all others, and a diagnosis sets such frames
-aside. Long recordings keep the given blocks. Pinned by tests/test_learned_memory.py and tests/test_pulled_rod.py.
+aside. Where squares stand in for terms that are too many, all frames are tested. Long recordings keep the given blocks.
+Pinned by tests/test_learned_memory.py, tests/test_pulled_rod.py and tests/test_splined_rod.py.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from numpy.typing import NDArray
 from softmap_edge.coverage import Coverage
 from softmap_edge.folds import FOLDS, GAP, Folds, Index, folds, labelled, run_folds
 from softmap_edge.rod.reference_run import Seen
-from softmap_edge.rod.regression import Basis
+from softmap_edge.rod.regression import SQUARES, Basis
 
 UNCOVERED = 0.1  # share of the held-out frames that the others may leave uncovered
 LEAST_COVERED = 0.5  # share of the frames that must be covered, or all are tested
@@ -39,10 +40,10 @@ def covered_folds(seen: Seen, basis: Basis, blocks: int, gap_s: float) -> tuple[
         covered = [(train, test[~_outside(seen, basis, train, test)]) for train, test in parts]
         share = sum(len(test) for _, test in covered) / len(seen.t)
         finer = 2 * blocks
-        finest = finer > MOST_BLOCKS or len(seen.t) < LEAST_FRAMES * finer
-        if share >= 1.0 - UNCOVERED or finest:
+        if share >= 1.0 - UNCOVERED or finer > MOST_BLOCKS or len(seen.t) < LEAST_FRAMES * finer:
             tested = [(train, test) for train, test in covered if len(test)]
-            return (tested if share >= LEAST_COVERED and len(tested) > 1 else parts), gap
+            own = basis != SQUARES and share >= LEAST_COVERED and len(tested) > 1
+            return (tested if own else parts), gap
         blocks = finer
 
 

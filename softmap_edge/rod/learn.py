@@ -45,6 +45,7 @@ RATE_HZ = 20.0  # neighbouring frames say the same; more only cost time
 USELESS = 0.8  # share of that straying from which a held-out error says that commands explain little
 DEPENDENT = 0.01  # of the largest singular value of the commands: a smaller direction does not move
 ROUNDED = 0.02  # weights below this in such a direction are encoders' rounding
+TURNED_DEG = 10.0  # between orientations, from which the weight of the robot bends it differently
 POOR = 0.4  # of the same: a rod that knows its commands leaves a tenth
 
 
@@ -192,7 +193,7 @@ def _notes(seen: Seen, fitted: Fitted, error: float) -> tuple[str, ...]:
     commands, stray = seen.drive.commands, seen.stray
     for c in np.flatnonzero(np.ptp(commands, axis=0) == 0):
         notes.append(f"command {c + 1} stays at {commands[0, c]:g} {unit}: the rod does not know what it does")
-    notes += _dependent(commands, unit)
+    notes += [*_dependent(commands, unit), *_turned(seen.runs)]
     if error > USELESS * stray:
         notes.append(
             f"the held-out error of {error:.2f} mm RMS is hardly below the {stray:.2f} mm RMS of a constant "
@@ -212,6 +213,21 @@ def _notes(seen: Seen, fitted: Fitted, error: float) -> tuple[str, ...]:
     if stuck:
         notes.append(f"{', '.join(stuck)} went as far as the fit may go; start from better numbers in robot.toml")
     return tuple(notes)
+
+
+def _turned(runs: Sequence[Run]) -> list[str]:
+    """Return a sentence if the robot was mounted in several orientations, which its model does not know."""
+    rows = np.concatenate(
+        [np.reshape(run.gravity, (-1, 3)) for run in runs if run.gravity is not None] or [[[0, 0, 1]]]
+    )
+    units = rows / np.linalg.norm(rows, axis=1, keepdims=True)
+    angle = float(np.degrees(np.arccos(np.clip(np.min(units @ units[0]), -1.0, 1.0))))
+    if angle < TURNED_DEG:
+        return []
+    return [
+        f"the runs were recorded in orientations {angle:.0f} degrees apart, and a learned model has one shape for each "
+        "command: its weight may look like memory; learn from one orientation, or describe the robot in finger.toml"
+    ]
 
 
 def _dependent(commands: Floats, unit: str) -> list[str]:
