@@ -1,16 +1,17 @@
 """Scores by family: first family, claims on nulls, false identifications, a known law together with an unknown one."""
 
+import json
 import subprocess
 import sys
 
 import pytest
 
 from benches.bank import left_out
-from benches.bank.__main__ import decided
 from benches.bank.answers import answer_for, fits_family, matches
 from benches.bank.judge import table
 from benches.bank.judge_family import by_family, names_alike
 from benches.bank.judge_learned import together
+from benches.bank.work import decided
 from softmap_edge.diagnosis import decision
 from softmap_edge.learned_in import LearnedIn
 
@@ -163,7 +164,7 @@ def test_odds_are_fitted_to_the_claims_of_the_other_slices():
 
 def test_other_constants_are_set_before_the_diagnosis_reads_them():
     script = (
-        "from benches.bank.__main__ import decided; decided('VISIBLE_MM=0.5,FORM=0.1')\n"
+        "from benches.bank.work import decided; decided('VISIBLE_MM=0.5,FORM=0.1')\n"
         "from softmap_edge.diagnosis import decision, diagnose; print(diagnose.VISIBLE_MM, decision.FORM)"
     )
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
@@ -171,3 +172,17 @@ def test_other_constants_are_set_before_the_diagnosis_reads_them():
     for wrong in ("FROM=0.1", "np=3", "FORM=x"):
         with pytest.raises(ValueError):
             decided(wrong)
+
+
+def test_the_command_scores_with_other_constants_and_leaves_banks_out(tmp_path):
+    command = [sys.executable, "-m", "benches.bank", "--parts", "learned/one", "--kinds", "null", "--share", "0.02"]
+
+    def run(*more):
+        return subprocess.run([*command, *map(str, more)], capture_output=True, text=True, check=True).stdout
+
+    run("--out", tmp_path / "a", "--jobs", 1)
+    run("--out", tmp_path / "b", "--jobs", 1, "--cases", tmp_path / "a/cases", "--set", "FORM=0.1")
+    (row,) = (json.loads(path.read_text()) for path in (tmp_path / "b").glob("*.json"))
+    assert row["code"].endswith(" FORM=0.1") and "failed" not in row
+    table = run("--out", tmp_path / "a", "--left-out", tmp_path / "b")
+    assert "1 cases" in table and "FORM=0.1" in table and "best on the other slices" in table

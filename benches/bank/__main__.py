@@ -24,7 +24,7 @@ from pathlib import Path
 from typing import Any
 
 from benches.bank.store import Kept, Task, name_of
-from benches.bank.work import Job, code, judge, kept, make, work
+from benches.bank.work import Job, code, decided, judge, kept, make, work
 
 for _name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "RAYON_NUM_THREADS"):
     os.environ.setdefault(_name, "1")  # one process a core; read when NumPy is loaded, below
@@ -122,21 +122,6 @@ def _make(wanted: list[Task], cases: Path, jobs: int) -> None:
     left = [(task, str(cases), "", "") for task in wanted if not Kept(cases / name_of(task)).is_current]
     print(f"{len(wanted)} cases, {len(left)} to make, {jobs} at a time → {cases}", file=sys.stderr)
     _each(make, left, jobs, lambda row: f"{row['hidden']} {row['seconds']} s")
-
-
-def decided(constants: str) -> None:
-    """Set constants of the decision in this process, `FORM=0.1,LEFT=0.2`.
-
-    Raises:
-        ValueError: decision.py has no such constant, or its value is no number.
-    """
-    from softmap_edge.diagnosis import decision
-
-    for one in filter(None, constants.split(",")):
-        name, _, value = one.partition("=")
-        if not name.isupper() or not isinstance(getattr(decision, name, None), float):
-            raise ValueError(f"decision.py has no constant '{name}'; give NAME=VALUE, as in FORM=0.1")
-        setattr(decision, name, float(value))
 
 
 def set_of(rows: Sequence[dict[str, Any]]) -> str:

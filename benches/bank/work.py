@@ -37,6 +37,21 @@ def code() -> str:
     return digest.hexdigest()[:12]
 
 
+def decided(constants: str) -> None:
+    """Set constants of the decision in this process, `FORM=0.1,LEFT=0.2`.
+
+    Raises:
+        ValueError: decision.py has no such constant, or its value is no number.
+    """
+    from softmap_edge.diagnosis import decision
+
+    for one in filter(None, constants.split(",")):
+        name, _, value = one.partition("=")
+        if not name.isupper() or not isinstance(getattr(decision, name, None), float):
+            raise ValueError(f"decision.py has no constant '{name}'; give NAME=VALUE, as in FORM=0.1")
+        setattr(decision, name, float(value))
+
+
 def make(job: Job) -> dict[str, Any]:
     """Make a case if it is missing; return its name, and the failure if any."""
     from benches.bank.make import made

@@ -217,10 +217,11 @@ def _notes(seen: Seen, fitted: Fitted, error: float) -> tuple[str, ...]:
 
 def _turned(runs: Sequence[Run]) -> list[str]:
     """Return a sentence if the robot was mounted in several orientations, which its model does not know."""
-    rows = np.concatenate(
-        [np.reshape(run.gravity, (-1, 3)) for run in runs if run.gravity is not None] or [[[0, 0, 1]]]
-    )
-    units = rows / np.linalg.norm(rows, axis=1, keepdims=True)
+    every = [np.reshape(run.gravity, (-1, 3)) for run in runs if run.gravity is not None]
+    if not every:
+        return []
+    rows = np.concatenate(every)
+    units = rows / np.maximum(np.linalg.norm(rows, axis=1, keepdims=True), 1e-9)
     angle = float(np.degrees(np.arccos(np.clip(np.min(units @ units[0]), -1.0, 1.0))))
     if angle < TURNED_DEG:
         return []
