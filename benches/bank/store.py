@@ -24,7 +24,7 @@ from typing import Any
 from softmap_edge.run import Run
 
 Task = tuple[str, str, str, str, int]  # seeds, slice, level, kind, number
-JUDGING = ("__main__.py", "judge.py", "judge_family.py", "judge_learned.py", "work.py", "store.py")
+JUDGING = ("__main__.py", "left_out.py", "judge.py", "judge_family.py", "judge_learned.py", "work.py", "store.py")
 
 
 @dataclass(frozen=True)

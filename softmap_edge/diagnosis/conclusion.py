@@ -348,13 +348,11 @@ def _twins(
     """Return effects that look like a member under the conditions of the run, and why they cannot be excluded."""
     record, found = fits.problem.record, []
     never = {h.name for h in impossible}
-    for twin in equivalents(record, member, registry):
+    for twin in (*equivalents(record, member, registry), *_unbased(record, fit, member, registry, never)):
         by = registry[member]["alike"].get(twin) or registry[twin]["alike"].get(member)
         why = f"{twin} and {member} look alike under the conditions of this run"
         if twin in fit.effects or twin not in (*fits.candidates, *never):
             continue
-        if by == "base" and (twin in fits.candidates or abs(fit.params.get(ALONG, 0.0)) > rule.VISIBLE_MM):
-            continue  # it was tried, and its form is another one; or no bend moves the body so
         if twin in fits.candidates:
             other = fits.get({*fit.effects, twin} - {member}, fit.space.split)
             rest = fits.without(fit, member)
@@ -367,6 +365,17 @@ def _twins(
             why += "; it was not tried"
         found.append((twin, why))
     return found
+
+
+def _unbased(record: Record, fit: Fit, member: str, registry: Registry, never: set[str]) -> list[str]:
+    """Return effects that the model does not have and that look like a member where no point of the base is seen.
+
+    Nothing that bends a body moves it along its axis.
+    """
+    lifted = abs(fit.params.get(ALONG, 0.0)) > rule.VISIBLE_MM
+    if lifted or all(base is not None for base in record.bases):
+        return []
+    return [twin for twin, by in registry[member]["alike"].items() if by == "base" and twin in never]
 
 
 def _error(outcome: Outcome, order: Sequence[str], other: Record | None) -> ErrorLadder:
