@@ -52,10 +52,8 @@ from softmap_edge.truth import Camera
 
 Floats = NDArray[np.float64]
 
-MOVES_MM = (
-    0.6,
-    1.8,
-)  # RMS of the points by a hidden law; of a map, by the part that offsets and gains cannot represent
+# RMS of the points by a hidden law; of a map, by the part that offsets and gains cannot represent.
+MOVES_MM = (0.6, 1.8)
 UNKNOWN: tuple[type[Law], ...] = (
     FadingMemory, SpeedyPlay, Hooked, Stribeck, CrossTerm, RateSquare, RateBend, Bimetal, WarmPlay,
 )  # fmt: skip

@@ -29,10 +29,10 @@ def alike(registry: Sequence[Row], orientations: int, roll: bool = True) -> dict
     `orientations` of the run, and whether it shows the `roll` of the body.
     """
     found = {effect["name"]: {effect["name"]} for effect in registry}
-    told = {word for word, seen in (("roll", roll), ("orientation", orientations > 1), ("base", True)) if seen}
+    resolved = {word for word, seen in (("roll", roll), ("orientation", orientations > 1), ("base", True)) if seen}
     for effect in registry:
         for other, resolved_by in effect["alike"].items():
-            if other in found and resolved_by not in told:
+            if other in found and resolved_by not in resolved:
                 found[effect["name"]].add(other)
                 found[other].add(effect["name"])
     return found

@@ -1,10 +1,10 @@
 """Leave one bank out: each slice with the constants that are best on all other slices.
 
 Rows of several folders, each scored with one set of constants (`--set`), are compared case by case. For each slice
-the constants are taken under which most answers of the other slices are right, every slice counting alike; what they
-reach on the slice that chose nothing stands beside what the shipped constants reach. The odds are fitted in the same
-way, to the claims of the other slices; *exactly right* is the error that as many claims show by chance. For
-information: the constants that ship are those of decision.py. Pinned by tests/test_bank_judge.py.
+the constants are taken under which most answers of the other slices are right; every slice has the same weight. The
+table gives the share of right answers with these and with the shipped constants. The odds are fitted in the same way,
+to the claims of the other slices; *exactly right* is the error that as many claims show by chance. The constants that
+ship are those of decision.py. Pinned by tests/test_bank_judge.py.
 """
 
 from __future__ import annotations

@@ -241,7 +241,7 @@ pub struct Declaration {
     pub reference: &'static str,
     /// What to record so that the effect shows itself, and how many minutes that takes.
     pub experiment: (&'static str, f64),
-    /// Effects of the same form, and what in a run tells them apart: "orientation", "load", "roll", "base" (points of the
+    /// Effects of the same form, and what in a run distinguishes them: "orientation", "load", "roll", "base" (points of the
     /// clamped base, or a model that has the other effect) or "never".
     pub alike: &'static [(&'static str, &'static str)],
     /// Fields a run must carry for the effect to be computed at all.
