@@ -29,7 +29,7 @@ from softmap_edge.diagnosis.document import Diagnosis, with_error
 from softmap_edge.diagnosis.evidence import equivalents, experiment, shown, unseen
 from softmap_edge.diagnosis.findings import Number, plain
 from softmap_edge.diagnosis.fit import Fit, Problem
-from softmap_edge.diagnosis.fits import Fits
+from softmap_edge.diagnosis.fits import Fits, carried
 from softmap_edge.diagnosis.fitted import parameters
 from softmap_edge.diagnosis.masked import masked
 from softmap_edge.diagnosis.outcome import Outcome
@@ -204,9 +204,9 @@ def refit(model: Model, run: Run | Sequence[Run], library: Any = None) -> tuple[
 def _for_each_channel(problem: Problem, fit: Fit) -> Fit:
     """Return a fit of a model's own effects with a number for each channel where it has one for all."""
     space = problem.space(fit.effects, free=fit.effects, split=fit.effects)
-    known = dict(zip(fit.space.free_labels, fit.x))
-    start = [known[label] if label in known else known[label.split("[")[0]] for label in space.free_labels]
-    return problem.fit(fit.effects, [np.array(start)], free=fit.effects, split=fit.effects) if start else fit
+    if space.free_labels == fit.space.free_labels:
+        return fit
+    return problem.fit(fit.effects, [carried(fit, space)], free=fit.effects, split=fit.effects)
 
 
 def _relearned(model: Model, numbers: Mapping[str, Number]) -> Model:

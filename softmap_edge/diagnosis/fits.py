@@ -59,9 +59,7 @@ class Fits:
         effects, split = key
         shared = self.get(effects, split - {max(split)})
         space = self.problem.space(shared.effects, split=split)
-        known = dict(zip(shared.space.free_labels, shared.x))
-        start = [known[name] if name in known else known[name.split("[")[0]] for name in space.free_labels]
-        return self.problem.fit(shared.effects, [np.array(start)], split=split)
+        return self.problem.fit(shared.effects, [carried(shared, space)], split=split)
 
     def _grown(self, key: frozenset[str]) -> Fit:
         """Fit a set from the nearest smaller one that is known, else from that without its last member."""
@@ -116,6 +114,12 @@ class Fits:
         plain = [float(self.losses(f)[0].sum()) for f in (self.null, rest, fit)]
         pairs = ((plain[1] - plain[2], plain[0] - plain[2]), (rest.cost - fit.cost, self.null.cost - fit.cost))
         return max(part / total if total > 0.0 else 0.0 for part, total in pairs)
+
+
+def carried(fit: Fit, space: Space) -> Floats:
+    """Return the coordinates (P,) of a fit in a space that has a number for each channel where the fit has one."""
+    known = dict(zip(fit.space.free_labels, fit.x))
+    return np.array([known[label] if label in known else known[label.split("[")[0]] for label in space.free_labels])
 
 
 def _key(fit: Fit) -> Key:
