@@ -170,7 +170,7 @@ def test_other_constants_are_set_before_the_diagnosis_reads_them():
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
     assert done.stdout.split() == ["0.5", "0.1"]
     for wrong in ("FROM=0.1", "np=3", "FORM=x"):
-        with pytest.raises(ValueError):
+        with pytest.raises(ValueError, match="give NAME=VALUE"):
             decided(wrong)
 
 
@@ -185,4 +185,6 @@ def test_the_command_scores_with_other_constants_and_leaves_banks_out(tmp_path):
     (row,) = (json.loads(path.read_text()) for path in (tmp_path / "b").glob("*.json"))
     assert row["code"].endswith(" FORM=0.1") and "failed" not in row
     table = run("--out", tmp_path / "a", "--left-out", tmp_path / "b")
+    empty = subprocess.run([*command, "--out", tmp_path / "a", "--left-out", tmp_path], capture_output=True, text=True)
+    assert empty.returncode == 2 and "no rows of development seeds" in empty.stderr.splitlines()[-1]
     assert "1 cases" in table and "FORM=0.1" in table and "best on the other slices" in table

@@ -96,7 +96,12 @@ def main(argv: Sequence[str] | None = None) -> int:
         from benches.bank import left_out
 
         outs = [args.out, *map(Path, args.left_out.split(","))]
-        print(left_out.text({set_of(rows): rows for out in outs if (rows := rows_in(out, args.seeds))}))
+        every = [rows_in(out, args.seeds) for out in outs]
+        if not all(every):
+            parser.error(
+                f"no rows of {args.seeds} seeds in {outs[every.index([])]}; score cases with --out there first"
+            )
+        print(left_out.text({set_of(rows): rows for rows in every}))
         return 0
     cases = args.cases or args.out / "cases"
     args.out.mkdir(parents=True, exist_ok=True)

@@ -49,7 +49,10 @@ def decided(constants: str) -> None:
         name, _, value = one.partition("=")
         if not name.isupper() or not isinstance(getattr(decision, name, None), float):
             raise ValueError(f"decision.py has no constant '{name}'; give NAME=VALUE, as in FORM=0.1")
-        setattr(decision, name, float(value))
+        try:
+            setattr(decision, name, float(value))
+        except ValueError:
+            raise ValueError(f"{name} is '{value}', which is no number; give NAME=VALUE, as in FORM=0.1") from None
 
 
 def make(job: Job) -> dict[str, Any]:
