@@ -48,6 +48,7 @@ __all__ = [
     "Table",
     "chamfer",
     "check_limits",
+    "check_onnx",
     "control_loop",
     "effects",
     "families",
@@ -143,6 +144,8 @@ class Network(Shape):
     @property
     def parameters(self) -> int: ...
     def project(self, weights: _Floats, offset: _Floats) -> Network: ...
+
+def check_onnx(file: bytes) -> None: ...
 
 @final
 class Sum(Shape):

@@ -9,8 +9,8 @@ template.npz    rest points, triangles, tip, per-feature form error; section, al
 fields.npz      displacement fields per unit of loads and changes of design, as modes over fewer commands; `second_…`
                 the second order of the loads
 effects.json    the chain: names and parameters
-prior.onnx      a trained prior; `prior.npz` then holds how its tendons pull. A graph that only onnxruntime reads
-                becomes a table of its outputs (`network.elsewhere`)
+prior.onnx      a trained prior; `prior.npz` then holds how its tendons pull. A graph that only onnxruntime reads is run
+                only if the user allows it, and becomes a table of its outputs (`network.elsewhere`)
 residual.npz    the residual learned on top of the prior (`softmap adapt`), if any: as a scattered family, or as
 residual.onnx   a network
 NAME_step       next to an array of whole numbers NAME in an archive: NAME counts these steps
@@ -41,7 +41,7 @@ from softmap_edge.errors import BundleError, CalibrationError, SoftmapError, bri
 from softmap_edge.learned_in import read_learned_in
 from softmap_edge.manifest import LARGEST, finite_number, load_manifest, read_json
 from softmap_edge.model import Arrays, Model
-from softmap_edge.network import read_network
+from softmap_edge.network import MOST_BYTES, read_network
 from softmap_edge.npz import read_npz, write_npz
 from softmap_edge.output import Output
 from softmap_edge.safety import Safety, derived, read_safety
@@ -51,6 +51,7 @@ from softmap_edge.ticks import Calibration
 from softmap_edge.whole_file import MOST_TEXT
 
 _MAX_BYTES = 256 << 20
+_MOST = {".json": 16 << 20, ".npz": _MAX_BYTES, ".onnx": MOST_BYTES, ".toml": MOST_TEXT, ".py": own_effect.MAX_BYTES}
 SAFETY = "safety.toml"
 _FILES = ("prior.npz", "template.npz", "fields.npz", "effects.json")
 # Those that its manifest may name beside them.
@@ -161,22 +162,25 @@ def check_folder(folder: Path) -> None:
         raise BundleError(f"{folder}: holds {foreign[0]} beside a bundle, which would be lost; take it out first")
 
 
-def load_bundle(path: str | Path, trust: Trust | None = None) -> Model:
+def load_bundle(path: str | Path, trust: Trust | None = None, trust_onnx: bool | Trust = False) -> Model:
     """Read a bundle folder and return its model.
 
     Args:
         path: the folder.
         trust: asked for each own effect that is not loaded yet whether its file may be run, `trust(file, sha256)`;
             without it none is.
+        trust_onnx: whether onnxruntime may run a graph that the core does not read, in a child process with limits of
+            memory and time; or a function that is asked, `trust_onnx(file, sha256)`.
 
     Raises:
-        BundleError: it is damaged or newer, or holds code that nobody has allowed to run.
+        BundleError: it is damaged or newer, or holds code or a graph that the user has not allowed to run.
     """
     folder = Path(path)
     manifest = load_manifest(folder)
     for name in (*_FILES, *_named(manifest), *(f"{name}.py" for name in manifest.get("own_effects", {}))):
         if not (folder / name).is_file():
             raise BundleError(f"{folder.name}: {name} is missing; copy the whole bundle folder again")
+        _check_size(folder / name)
         if name != SAFETY and _sha256(folder / name) != (manifest["sha256"] | _own_hashes(manifest)).get(name):
             raise BundleError(
                 f"{folder.name}: {name} is not the file that the manifest names (hash differs); copy it again"
@@ -184,7 +188,7 @@ def load_bundle(path: str | Path, trust: Trust | None = None) -> Model:
     for name, digest in manifest.get("own_effects", {}).items():
         _allow(folder / f"{name}.py", name, digest, trust)
     try:
-        return _model(folder, manifest)
+        return _model(folder, manifest, trust_onnx if callable(trust_onnx) else lambda _file, _sha256: trust_onnx)
     except BundleError:
         raise
     except (SoftmapError, KeyError, ValueError, TypeError, IndexError, OverflowError, MemoryError) as fault:
@@ -220,7 +224,7 @@ def _named(manifest: dict[str, Any]) -> list[str]:
     return [name for name in _PERHAPS if name in manifest["sha256"]]
 
 
-def _arrays(folder: Path, manifest: dict[str, Any]) -> tuple[dict[str, Arrays], dict[str, Any]]:
+def _arrays(folder: Path, manifest: dict[str, Any], trusted: Trust) -> tuple[dict[str, Arrays], dict[str, Any]]:
     """Read the archives of a bundle, and what is said of graphs that became tables of it.
 
     Only finite numbers of a plausible size, which also keeps overflow out later.
@@ -244,15 +248,15 @@ def _arrays(folder: Path, manifest: dict[str, Any]) -> tuple[dict[str, Arrays], 
     between = np.array(manifest["command_range"], float).reshape(-1, 2)
     for file in (name for name in learned if name.endswith(".onnx")):
         group = arrays.setdefault(file.removesuffix(".onnx"), {})
-        found, said = read_network(folder / file, between, group)
+        found, description = read_network(folder / file, between, group, trusted)
         group |= found
-        if said is not None:
-            foreign[file.removesuffix(".onnx")] = said
+        if description is not None:
+            foreign[file.removesuffix(".onnx")] = description
     return arrays, foreign
 
 
-def _model(folder: Path, manifest: dict[str, Any]) -> Model:
-    arrays, foreign = _arrays(folder, manifest)
+def _model(folder: Path, manifest: dict[str, Any], trusted: Trust) -> Model:
+    arrays, foreign = _arrays(folder, manifest, trusted)
     template = template_from(folder.name, arrays["template"])
     if manifest["kind"] != "rod":
         if (manifest["kind"] == "network") != ("prior.onnx" in _named(manifest)):
@@ -361,9 +365,7 @@ def _own_hashes(manifest: dict[str, Any]) -> dict[str, str]:
 
 
 def _made_from(manifest: dict[str, Any]) -> dict[str, Any]:
-    made = manifest.get("made_from")
-    if not isinstance(made, dict):
-        return {}
+    made = manifest.get("made_from", {})
     read_learned_in(made.get("learned_in"))
     runs = made.get("runs", [])
     if not isinstance(runs, list) or not all(isinstance(run, str) and len(run) == 64 for run in runs):
@@ -371,5 +373,15 @@ def _made_from(manifest: dict[str, Any]) -> dict[str, Any]:
     return dict(made)
 
 
+def _check_size(file: Path) -> None:
+    """Refuse a file of a bundle that is larger than is read, before a byte of it is."""
+    size, most = file.stat().st_size, _MOST[file.suffix]
+    if size > most:
+        raise BundleError(
+            f"{file.parent.name}: {file.name} has {size} bytes, at most {most} are read; build or copy it again"
+        )
+
+
 def _sha256(file: Path) -> str:
-    return hashlib.sha256(file.read_bytes()).hexdigest()
+    with file.open("rb") as content:
+        return hashlib.file_digest(content, "sha256").hexdigest()

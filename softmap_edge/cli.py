@@ -7,10 +7,14 @@ import importlib
 import os
 import re
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from importlib.metadata import entry_points
+from typing import TextIO, cast
 
 from softmap_edge import SoftmapError, __version__
 from softmap_edge.commands import ELSEWHERE, VERBS, Verb
+from softmap_edge.printable import PrintableStream, one_line
 
 DONE, FAULT, WRONG_USE = 0, 1, 2
 NEGATIVE = re.compile(r"-[\d.][^:]*,")
@@ -20,6 +24,22 @@ INTERRUPTED = 130  # as a shell reports Ctrl-C
 def main(argv: list[str] | None = None) -> int:
     """Run one verb; return 0 when done, 1 for a fault or a worse error, 2 for wrong use, 130 when interrupted."""
     argv = sys.argv[1:] if argv is None else argv
+    with _printable():
+        return _main(argv)
+
+
+@contextmanager
+def _printable() -> Iterator[None]:
+    """Escape control characters in what is printed meanwhile; a closed stream stays None."""
+    streams = sys.stdout, sys.stderr
+    sys.stdout, sys.stderr = (s and cast(TextIO, PrintableStream(s)) for s in streams)
+    try:
+        yield
+    finally:
+        sys.stdout, sys.stderr = streams
+
+
+def _main(argv: list[str]) -> int:
     # Small factorisations are ten times slower with BLAS threads; read when numpy is first loaded.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     verbs = {verb.name: verb for verb in [*VERBS, *_plugged_in()]}
@@ -33,7 +53,7 @@ def main(argv: list[str] | None = None) -> int:
         if argv[0] in ELSEWHERE:
             print(f"softmap: '{argv[0]}' is in another package: {ELSEWHERE[argv[0]]}", file=sys.stderr)
         else:
-            print(f"softmap: no verb '{argv[0]}'; there are {', '.join(verbs)}", file=sys.stderr)
+            print(one_line(f"softmap: no verb '{argv[0]}'; there are {', '.join(verbs)}"), file=sys.stderr)
         return WRONG_USE
     try:
         return _run(verbs[argv[0]], argv[1:])
@@ -63,13 +83,13 @@ def _run(verb: Verb, argv: list[str]) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return DONE
     except SoftmapError as error:
-        print(f"softmap {verb.name}: {error}", file=sys.stderr)
+        print(one_line(f"softmap {verb.name}: {error}"), file=sys.stderr)
         return WRONG_USE
     except MemoryError:
         print(f"softmap {verb.name}: more memory is needed than is free; take something smaller", file=sys.stderr)
         return WRONG_USE
     except OSError as error:
-        print(f"softmap {verb.name}: {_of_the_system(error)}", file=sys.stderr)
+        print(one_line(f"softmap {verb.name}: {_of_the_system(error)}"), file=sys.stderr)
         return WRONG_USE
 
 

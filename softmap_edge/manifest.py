@@ -30,7 +30,7 @@ def load_manifest(path: str | Path) -> dict[str, Any]:
         )
     manifest = read_json(file)
     schema = manifest.get("schema")
-    if not isinstance(schema, int) or schema < 1:
+    if not isinstance(schema, int) or isinstance(schema, bool) or schema < 1:
         raise BundleError(
             f"{file.parent.name}: manifest.json has schema {schema!r:.80}, expected a whole number from 1"
         )
@@ -43,10 +43,12 @@ def load_manifest(path: str | Path) -> dict[str, Any]:
         raise BundleError(
             f"{file.parent.name}: kind of prior {manifest.get('kind')!r:.80}, known are {', '.join(KINDS)}"
         )
-    _require(manifest, "sha256", lambda v: isinstance(v, dict), "a table of file hashes")
-    _require(manifest, "channels", lambda v: isinstance(v, int) and 0 <= v <= 64, "a whole number 0…64")
-    for name in ("robot", "command_unit"):
-        _require({"command_unit": "mm", **manifest}, name, _plain, "a printable text of at most 100 characters")
+    _require(manifest, "sha256", _file_hashes, "a table of at most 100 file names and their sha256")
+    _require(manifest, "channels", lambda v: type(v) is int and 0 <= v <= 64, "a whole number 0…64")
+    for name in ("robot", "command_unit", "written_by"):
+        _require(manifest, name, _plain, "a printable text of at most 100 characters")
+    _require(manifest, "length_unit", lambda v: v == "mm", "'mm': lengths of a bundle are in millimetres")
+    _require({"made_from": {}, **manifest}, "made_from", lambda v: isinstance(v, dict), "a table")
     _require({"input": "present", **manifest}, "input", lambda v: v in ("present", "goal"), "'present' or 'goal'")
     for name in ("held_out_error_mm", "held_out_error_per_g_mm"):
         _require({"held_out_error_per_g_mm": 0.0, **manifest}, name, _error, "a number in mm from 0")
@@ -86,13 +88,21 @@ def _error(value: Any) -> bool:
     return finite_number(value) and bool(value >= 0)
 
 
+def _file_hashes(value: Any) -> bool:
+    return isinstance(value, dict) and len(value) <= 100 and all(map(_digest, value.values()))
+
+
 def _hashes(value: Any) -> bool:
     return (
         isinstance(value, dict)
         and len(value) <= 16
         and all(own_effect.NAME.fullmatch(name) for name in value)
-        and all(isinstance(digest, str) and re.fullmatch("[0-9a-f]{64}", digest) for digest in value.values())
+        and all(map(_digest, value.values()))
     )
+
+
+def _digest(value: Any) -> bool:
+    return isinstance(value, str) and re.fullmatch("[0-9a-f]{64}", value) is not None
 
 
 def _floats(value: Any, length: int) -> bool:

@@ -4,16 +4,18 @@ The compiled core runs them (`rust/network/`), with exact slopes. When a file is
 commands all over the range: a second implementation, so that a damaged or foreign file is found and not driven with.
 Fits look at features, not at points: there a network of up to three commands becomes a table (`tabulated`).
 
-A graph of other operators is one that only onnxruntime runs. It is asked once, at the nodes of a grid of its up to
-three commands, and goes on as a table of what it said (`elsewhere`), with everything that a table has: slopes, fields,
-the control loop without Python. How far the table is from the graph between its nodes is measured, told and limited.
-Pinned by tests/test_network.py.
+A graph of other operators is one that only onnxruntime runs. It is run only if the user allows it (`--trust-onnx`),
+once, in a child process with limits of memory and time, at the nodes of a grid of its up to three commands. It goes on
+as a table of the results (`elsewhere`), with all that a table has: slopes, fields, the control loop without Python.
+The error of the table between its nodes is measured, reported and limited. No graph is run that refers to other files,
+or that holds loops, branches, functions or foreign operators (`_core.check_onnx`). Pinned by tests/test_network.py and
+tests/test_untrusted_bundles.py.
 """
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -22,41 +24,57 @@ from numpy.typing import NDArray
 
 from softmap_edge import _core
 from softmap_edge.errors import BundleError, SoftmapError, brief
+from softmap_edge.in_child import ChildFault, in_child
 
 Floats = NDArray[np.float64]
 Arrays = dict[str, NDArray[Any]]
 
-MOST_BYTES = 256 << 20
+MOST_BYTES = 64 << 20  # the published network has 7 MB
+CHILD_MB, CHILD_S = 1000, 60.0  # limits of onnxruntime in a child process
 CHECKED = 32  # commands at which both implementations are compared
 AGREE_MM = 1e-3  # single precision of 100 mm through five layers leaves 1e-4
 BEYOND = 0.15  # of the range to each side that a table covers; commands that effects change may lie there
 ASKED = {1: 201, 2: 41, 3: 15}  # nodes of a grid that onnxruntime is asked at
+MOST_NODES = 4000  # of a grid whose axes the bundle gives
 APART_MM = 0.2  # that a table of them may be off between its nodes, RMS over points and commands
 KEPT_MM = 2e-3  # modes of such a table: what the others add, RMS
 NODES = {1: 201, 2: 61, 3: 21}  # of a table, by channels; of smooth networks 0.001 mm, of kinked ones 0.02 mm RMS
 
 
-def read_network(file: Path, command_range: Floats, told: Mapping[str, Any]) -> tuple[Arrays, dict[str, Any] | None]:
-    """Read an ONNX file: the arrays of the shape that it is, and what is said of it where only onnxruntime reads it.
+def read_network(
+    file: Path, command_range: Floats, prior: Mapping[str, Any], trusted: Callable[[Path, str], bool]
+) -> tuple[Arrays, dict[str, Any] | None]:
+    """Read an ONNX file: the arrays of its shape, and a description where only onnxruntime reads it.
 
     One that training wrote stays a network (`onnx`), and onnxruntime is seen to give the same; another becomes a table.
 
     Args:
         file: the file.
         command_range: (C, 2) mm, within which both are compared.
-        told: arrays of the prior beside it: a table takes its axes, where there are some.
+        prior: other arrays of the prior: a table takes its axes, where there are some.
+        trusted: asked whether onnxruntime may run a graph that the core does not read, `trusted(file, sha256)`.
 
     Raises:
-        BundleError: it is too large, no graph that anything runs, of other channels, or the two differ.
+        BundleError: it is too large, refers to other files, holds loops, has other channels, is not trusted, or core
+            and onnxruntime differ.
     """
     size = file.stat().st_size
     if size > MOST_BYTES:
         raise BundleError(f"{file.name}: {size >> 20} MB, networks of up to {MOST_BYTES >> 20} MB are read")
     content = file.read_bytes()
     try:
+        _core.check_onnx(content)
+    except SoftmapError as fault:
+        raise BundleError(f"{file.name}: {fault}") from None
+    try:
         network = _core.Network(content)
     except SoftmapError as fault:
-        return elsewhere(file.name, content, command_range, told, str(fault))
+        if not trusted(file, hashlib.sha256(content).hexdigest()):
+            raise BundleError(
+                f"{file.name}: {fault}. If you trust this file, --trust-onnx (in Python: load_bundle(path, "
+                "trust_onnx=True)) lets onnxruntime run it, in a child process with limits"
+            ) from None
+        return elsewhere(file.name, content, command_range, prior, str(fault))
     if network.channels != len(command_range):
         raise BundleError(f"{file.name}: {network.channels} commands, the bundle has {len(command_range)}")
     commands = _some(command_range)
@@ -69,12 +87,16 @@ def read_network(file: Path, command_range: Floats, told: Mapping[str, Any]) -> 
 
 
 def elsewhere(
-    name: str, content: bytes, command_range: Floats, told: Mapping[str, Any], why: str
+    name: str, content: bytes, command_range: Floats, prior: Mapping[str, Any], why: str
 ) -> tuple[Arrays, dict[str, Any]]:
-    """Return the arrays of a table of a graph that only onnxruntime runs, and what is to be said of it.
+    """Return the arrays of a table of a graph that only onnxruntime runs, and a description of it.
 
     Args:
-        name: of the file. content: its bytes. command_range, told: as for `read_network`. why: not read by the core.
+        name: of the file.
+        content: its bytes.
+        command_range: (C, 2) mm.
+        prior: as for `read_network`.
+        why: the reason for which the core does not read it.
 
     Raises:
         BundleError: onnxruntime does not run it, it has too many commands, or a table is too far from it.
@@ -86,21 +108,25 @@ def elsewhere(
         low, high = command_range.T
         more = BEYOND * (high - low)
         axes = [np.linspace(a, b, ASKED[channels]) for a, b in zip(low - more, high + more)]
-        axes = [np.asarray(told.get(f"axis{c}", axis), np.float64) for c, axis in enumerate(axes)]
-        values = run_elsewhere(content, _grid(axes))
-        some = _some(command_range)
-        wanted = run_elsewhere(content, some)
+        axes = [np.asarray(prior.get(f"axis{c}", axis), np.float64) for c, axis in enumerate(axes)]
+        if (count := np.prod([len(axis) for axis in axes], dtype=object)) > MOST_NODES:
+            raise BundleError(f"its axes in prior.npz make a table of {count} nodes, at most {MOST_NODES} are asked")
+        some, nodes = _some(command_range), _grid(axes)
+        both = in_child(run_elsewhere, content, np.concatenate([nodes, some]), megabytes=CHILD_MB, seconds=CHILD_S)
+        values, target = both[: len(nodes)], both[len(nodes) :]
     except BundleError as fault:
         raise BundleError(f"{name}: {why}. Nor by onnxruntime: {fault}") from None
-    if values.ndim != 2 or values.shape[1] % 3 or not np.isfinite(values).all() or not np.isfinite(wanted).all():
+    except ChildFault as fault:
+        raise BundleError(f"{name}: {why}. onnxruntime was stopped: its run {fault}; use a smaller graph") from None
+    if values.ndim != 2 or values.shape[1] % 3 or not np.isfinite(both).all():
         raise BundleError(f"{name}: {why}; its outputs {values.shape} are no finite points (n, 3N)")
     mean = values.mean(axis=0)
-    size, modes = np.linalg.eigh((values - mean).T @ (values - mean))
+    size, modes = _modes(values - mean)
     rest = np.sqrt(np.cumsum(np.maximum(size, 0.0)) * 3 / values.size)  # mm, of all modes up to one
-    modes = modes[:, rest > KEPT_MM][:, ::-1].T if (rest > KEPT_MM).any() else modes[:, -1:].T
+    modes = modes[rest > KEPT_MM][::-1] if (rest > KEPT_MM).any() else modes[-1:]
     weights = (values - mean) @ modes.T
     table = _core.Table(axes, weights, mean, np.ascontiguousarray(modes))
-    apart = float(np.sqrt(np.mean(np.sum((table.evaluate(some) - wanted).reshape(len(some), -1, 3) ** 2, axis=2))))
+    apart = float(np.sqrt(np.mean(np.sum((table.evaluate(some) - target).reshape(len(some), -1, 3) ** 2, axis=2))))
     if not apart < APART_MM:
         raise BundleError(
             f"{name}: {why}. A table of what onnxruntime makes of it would be {apart:.2g} mm off, allowed is "
@@ -109,6 +135,15 @@ def elsewhere(
     arrays: Arrays = {f"axis{c}": axis for c, axis in enumerate(axes)}
     arrays |= {"mean": mean, "modes": modes, "coefficients": weights}
     return arrays, {"graph_sha256": hashlib.sha256(content).hexdigest(), "why": why, "table_off_mm": apart}
+
+
+def _modes(values: Floats) -> tuple[Floats, Floats]:
+    """Return the squared sizes (K,) of the principal modes of `values` (n, M), rising, and the modes (K, M)."""
+    if len(values) >= values.shape[1]:
+        size, modes = np.linalg.eigh(values.T @ values)
+        return size, modes.T
+    size, weights = np.linalg.eigh(values @ values.T)
+    return size, weights.T @ values / np.sqrt(np.maximum(size, np.finfo(float).tiny))[:, None]
 
 
 def _some(command_range: Floats) -> Floats:
@@ -133,6 +168,8 @@ def run_elsewhere(content: bytes, commands: Floats) -> Floats:
         (found,) = session.run(None, {given.name: commands.astype(np.float32)})
     # Its errors have no common class beside Exception.
     except Exception as fault:
+        if "allocate" in str(fault) or isinstance(fault, MemoryError):
+            raise BundleError(f"it needs more than {CHILD_MB} MB of memory; use a smaller graph") from None
         raise BundleError(f"onnxruntime cannot run the network ({brief(fault)}); export it again") from None
     return np.asarray(found, np.float64)
 

@@ -15,6 +15,10 @@ from softmap_edge.errors import SoftmapError, brief
 from softmap_edge.whole_file import beside
 
 MAX_BYTES = 4 << 30
+MOST_ARRAYS = 1000
+_MOST_DIRECTORY = 1 << 20  # bytes of an archive's table of contents; that of 1000 arrays has 0.1 MB
+_END, _END_BYTES, _LONGEST_COMMENT = b"PK\5\6", 22, 1 << 16  # of the record that ends an archive
+_ZIP64, _ZIP64_BYTES = b"PK\6\7", 20  # of what stands before that record in an archive of more than 4 GiB
 _STEP = "_step"
 _EPOCH = (1980, 1, 1, 0, 0, 0)
 
@@ -42,8 +46,11 @@ def read_npz(
     if path.exists() and not path.is_file() and not path.is_dir():
         raise error(f"{path}: no file that can be read at will; give an .npz file")
     try:
+        check_directory(path, error)
         with zipfile.ZipFile(path) as archive:
-            total = sum(entry.file_size for entry in archive.infolist())
+            count, total = len(archive.infolist()), sum(entry.file_size for entry in archive.infolist())
+            if count > MOST_ARRAYS:
+                raise error(f"{path.name}: {count} arrays, at most {MOST_ARRAYS} are read; make it again")
             if total > limit:
                 raise error(f"{path.name}: {total} bytes when unpacked, at most {limit} are read")
             arrays = {}
@@ -64,6 +71,40 @@ def read_npz(
         if path.suffix.lower() != ".npz":
             remedy = "a log becomes a run with `softmap import`"
         raise error(f"{path.name}: not a readable .npz archive ({brief(fault)}); {remedy}") from None
+
+
+def archive_names(path: Path) -> set[str]:
+    """Return the names in an archive, none where it is not an archive that can be read."""
+    if not path.is_file():  # a pipe or a device would be read for ever
+        return set()
+    try:
+        check_directory(path)
+        with zipfile.ZipFile(path) as archive:
+            return set(archive.namelist())
+    except Exception:  # zipfile raises a dozen kinds on damaged files; the reader of the file reports what is wrong
+        return set()
+
+
+def check_directory(path: Path, error: type[SoftmapError] = SoftmapError) -> None:
+    """Refuse an archive whose table of contents is too large, before `zipfile` takes memory for each of its entries."""
+    with path.open("rb") as file:
+        size = file.seek(0, 2)
+        file.seek(max(0, size - _END_BYTES - _LONGEST_COMMENT - _ZIP64_BYTES))
+        tail = file.read()
+    plain = tail[-_END_BYTES:].startswith(_END) and tail.endswith(b"\0\0")  # without a comment, as zipfile looks
+    place = len(tail) - _END_BYTES if plain else tail.rfind(_END)
+    if place < 0:
+        return  # no archive, which zipfile reports
+    if tail[max(0, place - _ZIP64_BYTES) : place].startswith(_ZIP64):
+        raise error(
+            f"{path.name}: an archive in the ZIP64 form for more than 4 GiB, which is not read; make it smaller"
+        )
+    entries = int.from_bytes(tail[place + 12 : place + 16], "little")
+    if entries > _MOST_DIRECTORY:
+        raise error(
+            f"{path.name}: its table of contents has {entries} bytes, at most {_MOST_DIRECTORY} are read; an .npz file "
+            f"holds up to {MOST_ARRAYS} arrays"
+        )
 
 
 def packed(

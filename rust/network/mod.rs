@@ -17,6 +17,7 @@ mod onnx;
 use fold::{Waiting, folded, settle};
 pub use layers::COLUMNS;
 use layers::{Activation, Columns, Linear, affine, normalise};
+pub use onnx::check;
 
 use crate::error::{Result, invalid};
 use crate::shape::{Shape, Work};

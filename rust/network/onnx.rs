@@ -1,8 +1,8 @@
 //! Reads the ONNX graphs that training exports, and no others: one chain of Gemm, Relu, Gelu and LayerNormalization, with Sub, Div,
 //! Mul and Add of constants between them.
 //!
-//! The messages are those of onnx.proto3 (https://github.com/onnx/onnx), with the fields that such a graph uses; nothing outside the
-//! file is read. What a graph holds beyond that is refused by name.
+//! The messages are those of onnx.proto3 (https://github.com/onnx/onnx), with the fields that such a graph uses and those by which a
+//! graph would reach beyond itself ([`check`]). Anything else is refused by name.
 
 use super::{Activation, Layer};
 use crate::error::{Result, invalid};
@@ -10,7 +10,7 @@ use prost::Message;
 use std::collections::HashMap;
 
 /// Numbers of a network at most; the published one has 1.7 million.
-const MOST_NUMBERS: usize = 50_000_000;
+const MOST_NUMBERS: usize = 16_000_000;
 const FLOAT: i32 = 1;
 /// What the published normalisation of a layer adds to its variance.
 const EPSILON: f32 = 1e-5;
@@ -19,6 +19,8 @@ const EPSILON: f32 = 1e-5;
 struct Model {
     #[prost(message, optional, tag = "7")]
     graph: Option<Graph>,
+    #[prost(bytes = "vec", repeated, tag = "25")]
+    functions: Vec<Vec<u8>>,
 }
 
 #[derive(Message)]
@@ -31,6 +33,8 @@ struct Graph {
     input: Vec<Named>,
     #[prost(message, repeated, tag = "12")]
     output: Vec<Named>,
+    #[prost(bytes = "vec", repeated, tag = "15")]
+    sparse_initializer: Vec<Vec<u8>>,
 }
 
 #[derive(Message)]
@@ -49,6 +53,8 @@ struct Node {
     op_type: String,
     #[prost(message, repeated, tag = "5")]
     attribute: Vec<Attribute>,
+    #[prost(string, tag = "7")]
+    domain: String,
 }
 
 #[derive(Message)]
@@ -61,6 +67,18 @@ struct Attribute {
     i: i64,
     #[prost(bytes = "vec", tag = "4")]
     s: Vec<u8>,
+    #[prost(message, optional, tag = "5")]
+    t: Option<Tensor>,
+    #[prost(bytes = "vec", optional, tag = "6")]
+    g: Option<Vec<u8>>,
+    #[prost(message, repeated, tag = "10")]
+    tensors: Vec<Tensor>,
+    #[prost(bytes = "vec", repeated, tag = "11")]
+    graphs: Vec<Vec<u8>>,
+    #[prost(bytes = "vec", optional, tag = "22")]
+    sparse_tensor: Option<Vec<u8>>,
+    #[prost(bytes = "vec", repeated, tag = "23")]
+    sparse_tensors: Vec<Vec<u8>>,
 }
 
 #[derive(Message)]
@@ -75,6 +93,10 @@ struct Tensor {
     name: String,
     #[prost(bytes = "vec", tag = "9")]
     raw_data: Vec<u8>,
+    #[prost(bytes = "vec", repeated, tag = "13")]
+    external_data: Vec<Vec<u8>>,
+    #[prost(int32, tag = "14")]
+    data_location: i32,
 }
 
 /// Numbers of a constant, and its shape.
@@ -83,13 +105,76 @@ struct Constant {
     numbers: Vec<f64>,
 }
 
-/// The layers of a graph, in order.
-pub fn layers(file: &[u8]) -> Result<Vec<Layer>> {
+/// Refuses a file whose graph reaches beyond itself, or may never end: weights in other files, graphs within nodes (`Loop`, `If`,
+/// `Scan`), functions and operators of another domain than ONNX's own. Any other graph runs each of its nodes once.
+pub fn check(file: &[u8]) -> Result<()> {
+    decode(file).map(|_| ())
+}
+
+fn decode(file: &[u8]) -> Result<Graph> {
     let model = Model::decode(file)
         .map_err(|error| invalid(format!("no ONNX file ({error}); export it again")))?;
     let graph = model
         .graph
         .ok_or_else(|| invalid("an ONNX file without a graph; export it again"))?;
+    if !model.functions.is_empty() {
+        return Err(invalid(
+            "the graph defines functions, which are not read; export it without functions",
+        ));
+    }
+    if !graph.sparse_initializer.is_empty() {
+        return Err(sparse());
+    }
+    graph.initializer.iter().try_for_each(inside)?;
+    graph.node.iter().try_for_each(simple)?;
+    Ok(graph)
+}
+
+fn sparse() -> crate::error::Error {
+    invalid("the graph holds sparse constants, which are not read; export dense ones")
+}
+
+/// Refuses a constant whose numbers stand in another file.
+fn inside(tensor: &Tensor) -> Result<()> {
+    if tensor.data_location == 0 && tensor.external_data.is_empty() {
+        return Ok(());
+    }
+    Err(invalid(format!(
+        "the numbers of '{:.80}' are in another file; export the graph with its weights in it (save_as_external_data=False)",
+        tensor.name
+    )))
+}
+
+/// Refuses a node that runs a graph of its own, or is no operator of ONNX.
+fn simple(node: &Node) -> Result<()> {
+    if !matches!(&node.domain[..], "" | "ai.onnx") {
+        return Err(invalid(format!(
+            "the operator {:.40} is of the domain '{:.40}', only ONNX's own operators are read; export it without it",
+            node.op_type, node.domain
+        )));
+    }
+    for attribute in &node.attribute {
+        if attribute.g.is_some() || !attribute.graphs.is_empty() {
+            return Err(invalid(format!(
+                "the graph holds '{:.40}', a loop or branch that may never end; export a graph without control flow",
+                node.op_type
+            )));
+        }
+        if attribute.sparse_tensor.is_some() || !attribute.sparse_tensors.is_empty() {
+            return Err(sparse());
+        }
+        attribute
+            .t
+            .iter()
+            .chain(&attribute.tensors)
+            .try_for_each(inside)?;
+    }
+    Ok(())
+}
+
+/// The layers of a graph, in order.
+pub fn layers(file: &[u8]) -> Result<Vec<Layer>> {
+    let graph = decode(file)?;
     let constants = constants(graph.initializer)?;
     let inputs = graph.input.iter().map(|named| named.name.as_str());
     let inputs: Vec<&str> = inputs.filter(|n| !constants.contains_key(*n)).collect();

@@ -82,7 +82,7 @@ mod _core {
     #[pymodule_export]
     use super::mesh::Mesh;
     #[pymodule_export]
-    use super::network::PyNetwork;
+    use super::network::{PyNetwork, check_onnx};
     #[pymodule_export]
     use super::own::{forget, register};
     #[pymodule_export]

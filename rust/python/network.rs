@@ -2,7 +2,7 @@
 
 use super::arrays::floats;
 use super::shape::PyShape;
-use crate::network::Network;
+use crate::network::{Network, check};
 use pyo3::prelude::*;
 use std::sync::Arc;
 
@@ -44,4 +44,10 @@ impl PyNetwork {
         let seen = py.detach(|| self.network.project(&weights, &offset))?;
         Py::new(py, wrap(seen))
     }
+}
+
+/// Refuses an ONNX `file` (its bytes) that refers to other files, or whose graph may never end.
+#[pyfunction]
+pub fn check_onnx(file: &[u8]) -> PyResult<()> {
+    Ok(check(file)?)
 }

@@ -13,6 +13,7 @@ from softmap_edge.commands.own import load_own, open_model
 from softmap_edge.commands.seeing import late, receiver
 from softmap_edge.diagnosis.live import Live, Now
 from softmap_edge.errors import RunError, SoftmapError
+from softmap_edge.printable import printable, raw
 from softmap_edge.servo.follow import Following
 
 LOOK = 0.25  # s between two looks at the recording
@@ -45,7 +46,7 @@ def compare_live(args: argparse.Namespace) -> int:
                 now = live.compared()
                 t = time.monotonic() - begun
                 if sys.stdout.isatty() and not args.json:
-                    print(f"\r{now}", end="", flush=True)
+                    print(f"\r{printable(str(now))}", end="", file=raw(sys.stdout), flush=True)
                 elif t - said >= LINES:
                     said = t
                     print(json.dumps(now.to_dict()) if args.json else now, flush=True)

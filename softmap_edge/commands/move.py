@@ -13,11 +13,12 @@ from typing import Any, Literal
 import numpy as np
 
 from softmap_edge.commands.commissioning import confirm, deadman, hold_argument, tell
-from softmap_edge.commands.own import open_model
+from softmap_edge.commands.own import effects_argument, load_own, open_model
 from softmap_edge.commands.robot import bench_of, driving, emulated
 from softmap_edge.commissioning.jog import ARRIVED, EVERY, Jog, most_travel
 from softmap_edge.errors import ServoError, SoftmapError
 from softmap_edge.motion.curves import WIDEST
+from softmap_edge.printable import raw
 from softmap_edge.servo import words
 from softmap_edge.servo.controller import Controller
 from softmap_edge.servo.limits import JOG_TRAVEL
@@ -48,6 +49,7 @@ def move_arguments(parser: argparse.ArgumentParser) -> None:
     where.add_argument("--sim", action="store_true", help="an emulated robot: real packets, simulated finger")
     where.add_argument("--rig", metavar="rig.toml", help="the servos of this bench")
     parser.add_argument("--bundle", metavar="DIR", help="whose calibration maps mm to ticks (default: built-in finger)")
+    effects_argument(parser)
     parser.add_argument("--servo", type=int, metavar="ID", help="jog this servo, by --by")
     parser.add_argument("--by", type=float, metavar="TICKS", help=f"how far, at most {JOG_TRAVEL:.0f} either way")
     parser.add_argument(
@@ -97,6 +99,7 @@ def _bench(args: argparse.Namespace) -> Iterator[Rig]:
     if args.rig:
         yield read_rig(args.rig)
         return
+    load_own(args)
     model = open_model(args.bundle)
     with emulated(model) as robot:
         yield robot.rig
@@ -127,7 +130,7 @@ def _by_keys(jog: Jog, hand: Any) -> None:
                 ended = jog.press(servo, step)
         at = "  ".join(f"{one.id}: {tick:.0f}" for one, tick in zip(jog.rig.servos, jog.position))
         end = ENDS[ended] if jog.robot.state == "commissioning" else ""
-        print(f"\r{at}  ({words.state(jog.robot.report)}{end})\x1b[K", end="", file=sys.stderr, flush=True)
+        print(f"\r{at}  ({words.state(jog.robot.report)}{end})\x1b[K", end="", file=raw(sys.stderr), flush=True)
         time.sleep(EVERY)
     print(file=sys.stderr)
     jog.obey(hand)
@@ -143,6 +146,7 @@ def _go(args: argparse.Namespace) -> int:
         raise SoftmapError(
             f"{args.command:.40} for {args.seconds:g} s; commands of up to {WIDEST:g} mm and 0 to 600 s are allowed"
         )
+    load_own(args)
     model = open_model(args.bundle)
     with bench_of(args, model) as there:
         if len(u) != len(there.rig.servos):

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import argparse
 import sys
-import zipfile
 from pathlib import Path
 
 from softmap_edge.bundle import check_folder
 from softmap_edge.errors import BundleError, SoftmapError
+from softmap_edge.npz import archive_names
 
 
 def check_file(option: str, path: str | None, suffix: str = "", *, new: bool = False) -> None:
@@ -34,10 +34,9 @@ def check_no_run(option: str, path: str | None, force: bool | None = None) -> No
 
     `force` is that of the verb, None where it has none.
     """
-    if path is None or force or not zipfile.is_zipfile(path):
+    if path is None or force:
         return
-    with zipfile.ZipFile(path) as archive:
-        names = set(archive.namelist())
+    names = archive_names(Path(path))
     if "t.npy" in names and "t_seen.npy" in names:
         way = "remove it" if force is None else "--force to replace it"
         raise SoftmapError(f"{option} {path}: a run stands there and would be lost; give another name or {way}")

@@ -1,4 +1,4 @@
-"""A user's own effects in the verbs: `--effects FILE.py` runs a file; a terminal is asked about a bundle's code."""
+"""Code that a user allows to run: `--effects FILE.py`, `--trust-onnx`, and questions on a terminal about a bundle."""
 
 from __future__ import annotations
 
@@ -11,9 +11,16 @@ from softmap_edge.errors import SoftmapError
 from softmap_edge.model import Model
 from softmap_edge.own_effect import load_effect
 
+_trust_onnx: list[bool] = []  # what --trust-onnx allows, for this process like the effects of --effects
+
 
 def effects_argument(parser: argparse.ArgumentParser, more: str = "") -> None:
-    """Declare `--effects`, the same for every verb that loads a model; `more` says what else it takes."""
+    """Declare `--effects` and `--trust-onnx`, the same for every command that loads a model.
+
+    Args:
+        parser: of the command.
+        more: what else `--effects` takes.
+    """
     parser.add_argument(
         "--effects",
         action="append",
@@ -21,10 +28,16 @@ def effects_argument(parser: argparse.ArgumentParser, more: str = "") -> None:
         metavar="FILE.py",
         help=f"load a user-defined effect from FILE.py; may be repeated{more}",
     )
+    parser.add_argument(
+        "--trust-onnx",
+        action="store_true",
+        help="let onnxruntime run a network of the bundle that the core does not read, in a child process with limits",
+    )
 
 
 def load_own(args: argparse.Namespace) -> list[str]:
-    """Load the files of `--effects`; return the names of their effects."""
+    """Load the files of `--effects` and note `--trust-onnx`; return the names of the effects."""
+    _trust_onnx[:] = [args.trust_onnx]
     for path in args.effects:
         if not path.endswith(".py"):
             raise SoftmapError(f"--effects {path}: no Python file; `softmap effects new NAME` writes one")
@@ -33,18 +46,27 @@ def load_own(args: argparse.Namespace) -> list[str]:
 
 def open_model(path: str | None) -> Model:
     """Return the model of a bundle, the built-in finger without one; its own code runs if the user says so."""
-    return builtin_model() if path is None else load_bundle(path, ask)
+    return builtin_model() if path is None else load_bundle(path, ask, ask_onnx)
+
+
+def ask_onnx(file: Path, sha256: str) -> bool:
+    """Return whether onnxruntime may run a graph: `--trust-onnx`, or the answer on a terminal."""
+    return any(_trust_onnx) or _yes(
+        f"This bundle brings a graph that only onnxruntime runs: {file}\n  sha256 {sha256}\n"
+        "onnxruntime is not made for files that you do not trust. Run it, in a child process with limits? [y/N] "
+    )
 
 
 def ask(file: Path, sha256: str) -> bool:
     """Ask on a terminal whether the code of a bundle may run; without a terminal it may not."""
+    return _yes(
+        f"This bundle brings an effect as Python code: {file}\n  sha256 {sha256}\n"
+        "It runs with your rights; read it first. Run it? [y/N] "
+    )
+
+
+def _yes(question: str) -> bool:
     if not (sys.stdin.isatty() and sys.stderr.isatty()):
         return False
-    print(
-        f"This bundle brings an effect as Python code: {file}\n  sha256 {sha256}\n"
-        "It runs with your rights; read it first. Run it? [y/N] ",
-        end="",
-        file=sys.stderr,
-        flush=True,
-    )
+    print(question, end="", file=sys.stderr, flush=True)
     return sys.stdin.readline().strip().lower() in ("y", "yes")

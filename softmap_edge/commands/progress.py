@@ -8,6 +8,8 @@ from collections.abc import Callable
 from types import TracebackType
 from typing import Self
 
+from softmap_edge.printable import printable, raw
+
 _WIDTH, _LEFT = 30, 14
 PACE = 3.0  # s of work that tell how long the rest takes
 QUIET = 8.0  # s without a word after which long work says that it goes on
@@ -51,7 +53,7 @@ class Bar:
             return
         full = round(_WIDTH * min(max(share, 0.0), 1.0))
         bar, left = f"[{'█' * full}{'·' * (_WIDTH - full)}]", self._left(what, share)
-        print(f"\r{what:<16} {bar} {share:4.0%}{left:<{_LEFT}}", end="", file=sys.stderr, flush=True)
+        print(f"\r{printable(what):<16} {bar} {share:4.0%}{left:<{_LEFT}}", end="", file=raw(sys.stderr), flush=True)
         self._drawn = True
 
     def _left(self, what: str, share: float) -> str:
@@ -69,4 +71,4 @@ class Bar:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         if self._drawn:
-            print("\r" + " " * (_WIDTH + 26 + _LEFT) + "\r", end="", file=sys.stderr, flush=True)
+            print("\r" + " " * (_WIDTH + 26 + _LEFT) + "\r", end="", file=raw(sys.stderr), flush=True)

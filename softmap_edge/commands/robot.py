@@ -10,6 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from softmap_edge.commands.output import check_file, to_stderr
+from softmap_edge.commands.own import effects_argument
 from softmap_edge.emulated.finger import emulated_bench, hidden_laws
 from softmap_edge.errors import SoftmapError
 from softmap_edge.experiment.kept import seen_file
@@ -35,6 +36,7 @@ def driven_arguments(parser: argparse.ArgumentParser, seed: str = "") -> None:
     parser.add_argument(
         "--bundle", metavar="DIR", help="whose model and effects are used (default: the built-in finger)"
     )
+    effects_argument(parser)
     parser.add_argument("--no-effects", action="store_true", help="leave the effects of the bundle out, to compare")
     parser.add_argument(
         "--hide",

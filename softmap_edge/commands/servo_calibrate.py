@@ -9,7 +9,7 @@ from dataclasses import replace
 from softmap_edge.bundle import save_bundle
 from softmap_edge.commands.commissioning import confirm, deadman, hold_argument, tell
 from softmap_edge.commands.output import bundle_arguments, check_bundle
-from softmap_edge.commands.own import open_model
+from softmap_edge.commands.own import effects_argument, load_own, open_model
 from softmap_edge.commissioning.first_calibration import COUPLING, bench_calibration, bends, document, radius
 from softmap_edge.commissioning.jog import Jog
 from softmap_edge.errors import CalibrationError, ServoError
@@ -27,6 +27,7 @@ def calibrate_bench_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--signs", metavar="+,-", help="which way each servo bends; jogged and asked for without it")
     parser.add_argument("--ruler", metavar="TICKS=MM", help="mm of tendon that so many ticks wound, by a ruler")
     parser.add_argument("--bundle", metavar="DIR", help="the model of this robot; the built-in finger without it")
+    effects_argument(parser)
     bundle_arguments(parser)
     hold_argument(parser)
 
@@ -34,6 +35,7 @@ def calibrate_bench_arguments(parser: argparse.ArgumentParser) -> None:
 def calibrate_bench(args: argparse.Namespace) -> int:
     """Write the bundle with a first calibration; 0 when it is written."""
     check_bundle(args.out, args.force)
+    load_own(args)
     rig, model = read_rig(args.rig), open_model(args.bundle)
     pulley = radius(args.pulley_mm, _reading(args.ruler))
     given = [1] * len(rig.servos) if args.signs is None else _signs(args.signs)

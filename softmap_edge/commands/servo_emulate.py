@@ -17,7 +17,7 @@ from softmap_edge import _core
 from softmap_edge.bundle import save_bundle
 from softmap_edge.camera.points_udp import PointSender
 from softmap_edge.commands.output import check_bundle, check_file, to_stderr
-from softmap_edge.commands.own import open_model
+from softmap_edge.commands.own import effects_argument, load_own, open_model
 from softmap_edge.commands.robot import own_map
 from softmap_edge.emulated.finger import (
     BAUD,
@@ -48,6 +48,7 @@ BROKEN = ("mute", "stuck", "torn", "reversed", "jammed", "uncapped")
 def emulate_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `servo emulate`."""
     parser.add_argument("--bundle", metavar="DIR", help="whose finger it is (default: the built-in one)")
+    effects_argument(parser)
     parser.add_argument("--hide", "--hidden", default="", metavar="NAMES", help="laws that it hides: backlash,creep")
     parser.add_argument("--strength", type=float, default=1.0, metavar="X", help="how strong they are (1)")
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="of what is drawn by chance (0)")
@@ -77,6 +78,7 @@ def emulate(args: argparse.Namespace) -> int:
         check_bundle(args.calibrated, args.force, "--calibrated")
     if not 0.0 < args.strength <= 10.0:
         raise ServoError(f"--strength {args.strength:g}; more than 0 and up to 10 times is allowed")
+    load_own(args)
     whole = open_model(args.bundle)
     calibration = own_map(whole)
     names = [name for name in args.hide.split(",") if name]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 
-from softmap_edge.commands.own import open_model
+from softmap_edge.commands.own import effects_argument, load_own, open_model
 from softmap_edge.errors import ServoError
 from softmap_edge.servo.combined import combined
 from softmap_edge.servo.limits import RATE
@@ -18,6 +18,7 @@ def limits_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `servo limits`."""
     parser.add_argument("--rig", required=True, metavar="rig.toml", help="the bench: its servos, ceiling and stops")
     parser.add_argument("--bundle", metavar="DIR", help="the finger, with its calibration (the built-in one)")
+    effects_argument(parser)
     parser.add_argument(
         "--rate", type=float, default=RATE, metavar="HZ", help=f"periods of the loop a second ({RATE:g})"
     )
@@ -25,6 +26,7 @@ def limits_arguments(parser: argparse.ArgumentParser) -> None:
 
 def limits(args: argparse.Namespace) -> int:
     """Print the limits; 1 when nothing can be driven with them, and why."""
+    load_own(args)
     model = open_model(args.bundle)
     found = combined(read_rig(args.rig), model, rate=args.rate)
     refused = None

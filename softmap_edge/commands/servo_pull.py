@@ -7,7 +7,7 @@ import json
 
 from softmap_edge.commands.commissioning import deadman, hold_argument, tell
 from softmap_edge.commands.output import check_file
-from softmap_edge.commands.own import open_model
+from softmap_edge.commands.own import effects_argument, load_own, open_model
 from softmap_edge.commands.progress import Bar
 from softmap_edge.commands.robot import tell_edited
 from softmap_edge.commissioning.pull import MARGIN, noted, pull
@@ -19,6 +19,7 @@ def pull_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `servo pull`."""
     parser.add_argument("--rig", required=True, metavar="rig.toml", help="the bench; ceilings are written into it")
     parser.add_argument("--bundle", metavar="DIR", help="the finger, with its calibration (the built-in one)")
+    effects_argument(parser)
     parser.add_argument("--servo", type=int, metavar="ID", help="this servo alone; all of them without it")
     hold_argument(parser)
 
@@ -27,6 +28,7 @@ def pull_test(args: argparse.Namespace) -> int:
     """Measure and write the ceilings; 0 when all are found."""
     check_file("--rig", args.rig, ".toml")
     rig = read_rig(args.rig)
+    load_own(args)
     model = open_model(args.bundle)
     tell_edited(model)
     found = combined(rig, model)

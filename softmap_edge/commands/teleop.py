@@ -9,7 +9,7 @@ from collections.abc import Callable
 from typing import Any, get_args
 
 from softmap_edge.commands.output import to_stderr
-from softmap_edge.commands.own import open_model
+from softmap_edge.commands.own import load_own, open_model
 from softmap_edge.commands.robot import bench_of, check_driven, driven_arguments, driven_model
 from softmap_edge.errors import TeleopError
 from softmap_edge.motion.kinematics import Kinematics
@@ -79,6 +79,7 @@ def teleop(args: argparse.Namespace) -> int:
 
 def _drive(args: argparse.Namespace) -> int:
     check_driven(args)
+    load_own(args)
     whole = open_model(args.bundle)
     flips = _flips(args.flip)
     with contextlib.ExitStack() as stack:

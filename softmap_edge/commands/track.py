@@ -14,7 +14,7 @@ from typing import Any
 
 from softmap_edge.camera.frames import Seen
 from softmap_edge.commands.output import check_file
-from softmap_edge.commands.own import open_model
+from softmap_edge.commands.own import load_own, open_model
 from softmap_edge.commands.progress import Bar
 from softmap_edge.commands.robot import (
     bench_of,
@@ -79,6 +79,7 @@ def track(args: argparse.Namespace) -> int:
     if args.plan and idle:
         raise SoftmapError(f"{idle[0]} is of what is driven, and --plan drives nothing; leave one of them out")
     behind = late(args, LATE[0] if args.sim else 0.0)
+    load_own(args)
     whole = open_model(args.bundle)
     if args.table:
         return table(args, whole)

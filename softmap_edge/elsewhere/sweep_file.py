@@ -20,7 +20,6 @@ Every field is checked; the first that is wrong is named with what was expected.
 from __future__ import annotations
 
 import math
-import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -29,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.errors import SweepError
-from softmap_edge.npz import read_npz
+from softmap_edge.npz import archive_names, read_npz
 from softmap_edge.outside import BEYOND
 
 Floats = NDArray[np.float64]
@@ -80,23 +79,13 @@ class ShapeSweep:
 
 def is_shape_sweep(path: Path) -> bool:
     """Whether a file is an archive that holds commands with shapes, and no times as a run does."""
-    names = _names(path)
+    names = archive_names(path)
     return {"command.npy", "vertices.npy"} <= names and "t.npy" not in names
 
 
 def is_own_sweep(path: Path) -> bool:
     """Whether a sweep was written by `softmap sweep`, which carries its finger."""
-    return "finger.npy" in _names(path)
-
-
-def _names(path: Path) -> set[str]:
-    if not path.is_file():  # a pipe or a device would be read for ever
-        return set()
-    try:
-        with zipfile.ZipFile(path) as archive:
-            return set(archive.namelist())
-    except Exception:  # zipfile raises a dozen kinds on damaged files; who reads the file says what is wrong
-        return set()
+    return "finger.npy" in archive_names(path)
 
 
 def _checked(content: Mapping[str, NDArray[np.generic]]) -> ShapeSweep:

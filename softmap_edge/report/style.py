@@ -7,6 +7,8 @@ import html
 from collections.abc import Iterable
 from typing import Any
 
+from softmap_edge.printable import printable
+
 # Which tone a verdict's badge has: good, warn, bad or calm.
 TONES = {
     "identified": "good",
@@ -76,7 +78,7 @@ pre { white-space: pre-wrap; overflow-wrap: anywhere; }
 
 def escaped(value: Any) -> str:
     """Return a text as HTML that shows it and nothing else."""
-    return html.escape(str(value), quote=True)
+    return html.escape(printable(str(value)), quote=True)
 
 
 def picture(data: bytes, alt: str) -> str:

@@ -1,0 +1,53 @@
+"""Text that a terminal or a page only displays: control characters, bidirectional marks and surrogates are escaped.
+
+Names and paths come from files and arguments of unknown origin. Raw, they could move the cursor, recolour the terminal,
+forge a line or fail to encode. Escapes have the form of JSON (`\\u001b`), so JSON documents stay valid.
+Pinned by tests/test_printable.py.
+"""
+
+from __future__ import annotations
+
+from typing import Any, TextIO
+from unicodedata import category
+
+
+def printable(text: str) -> str:
+    """Return `text` with an escape for each character that does not print, save spaces, tabs and line ends."""
+    if text.isprintable():
+        return text
+    return "".join(c if c.isprintable() or c in "\n\t" or category(c) == "Zs" else _escape(c) for c in text)
+
+
+def one_line(text: str) -> str:
+    """Return `text` as one printable line: line ends and tabs are escaped too."""
+    return printable(text.replace("\n", "\\n").replace("\r", "\\r").replace("\t", "\\t"))
+
+
+def _escape(character: str) -> str:
+    units = character.encode("utf-16-be", "surrogatepass")
+    return "".join(f"\\u{units[k]:02x}{units[k + 1]:02x}" for k in range(0, len(units), 2))
+
+
+class PrintableStream:
+    """A text stream that writes only printable characters to `raw`; anything else is done by `raw` itself."""
+
+    def __init__(self, raw: TextIO) -> None:
+        self.raw = raw
+
+    def write(self, text: str) -> int:
+        """Write `text`, escaped where needed; return its length."""
+        self.raw.write(printable(text))
+        return len(text)
+
+    def writelines(self, lines: list[str]) -> None:
+        """Write each of the lines."""
+        for line in lines:
+            self.write(line)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.raw, name)
+
+
+def raw(stream: TextIO) -> TextIO:
+    """Return the stream behind a `PrintableStream`: for what moves the cursor on purpose."""
+    return stream.raw if isinstance(stream, PrintableStream) else stream

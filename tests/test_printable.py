@@ -1,0 +1,66 @@
+"""Control characters of names and paths reach neither a terminal nor a page."""
+
+import io
+import json
+import sys
+
+import pytest
+
+from softmap_edge.cli import main
+from softmap_edge.printable import PrintableStream, one_line, printable, raw
+from softmap_edge.report.style import escaped
+
+HOSTILE = {
+    "\x1b[31m": "\\u001b[31m",
+    "a\rb": "a\\u000db",
+    "\x07": "\\u0007",
+    "\x7f\x9b": "\\u007f\\u009b",
+    "\u202ecod.exe": "\\u202ecod.exe",
+    "\u2066x\u2069": "\\u2066x\\u2069",
+    "\udcff": "\\udcff",
+    "\U000e0041": "\\udb40\\udc41",
+}
+FRIENDLY = ["", "plain", "µm ± 0.3 °, 12 mm", "a\tb\nc", "零件 🤖", "é"]
+
+
+@pytest.mark.parametrize("text", HOSTILE)
+def test_what_does_not_print_is_escaped(text):
+    assert printable(text) == HOSTILE[text]
+    assert one_line(f"{text}\nx").count("\n") == 0
+    assert json.loads(f'"{printable(text)}"') == text
+
+
+@pytest.mark.parametrize("text", FRIENDLY)
+def test_what_prints_stays(text):
+    assert printable(text) == text
+
+
+@pytest.mark.parametrize("path", ["ev\x1b[31mil\nline", "a\rsoftmap: all is well", "\u202egnp.exe", "x\x9b2J"])
+def test_a_path_is_one_plain_line(capsys, path):
+    assert main(["show", path]) == 2
+    error = capsys.readouterr().err
+    assert error.endswith("\n") and error[:-1].isprintable()
+
+
+def test_an_unknown_command_is_one_plain_line(capsys):
+    assert main(["sho\x1b[2Jw\n"]) == 2
+    assert capsys.readouterr().err[:-1].isprintable()
+
+
+def test_whatever_a_command_prints_is_escaped(monkeypatch):
+    out = io.StringIO()
+    monkeypatch.setattr(sys, "stdout", out)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("softmap_edge.cli._run", lambda *_: print("name\x1b]0;title\x07") or 0)
+        assert main(["show", "x"]) == 0
+    assert out.getvalue() == "name\\u001b]0;title\\u0007\n" and sys.stdout is out
+
+
+def test_what_moves_the_cursor_on_purpose_goes_past_it():
+    out = io.StringIO()
+    print("\rhalf", end="", file=raw(PrintableStream(out)))
+    assert out.getvalue() == "\rhalf" and raw(out) is out
+
+
+def test_a_page_holds_no_control_character():
+    assert escaped("<b>\x1b[1m") == "&lt;b&gt;\\u001b[1m"
