@@ -66,7 +66,7 @@ def import_logs(paths: Sequence[str | os.PathLike[str]], mapping: Mapping) -> Im
         doubts += [f"{path.name}: {doubt}" for path, table in zip(files, tables) for doubt in doubts_of_time(table.t)]
     t = _command_rows(tables, mapping, fields, notes, doubts)
     doubts += doubts_of_both(fields)
-    t_seen = seen(tables, mapping, fields, notes, doubts)
+    t_seen = seen(tables, mapping, t, fields, notes, doubts)
     if t is None and t_seen is None:
         raise RunError(f"{mapping.path}: names neither commands nor markers nor outputs; give at least one of them")
     t = t_seen if t is None else t

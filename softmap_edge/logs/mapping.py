@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.errors import RunError, brief
-from softmap_edge.logs.measured import Column, Measured, columns_of, measured_of, per_column
+from softmap_edge.logs.measured import Column, Measured, columns_of, measured_of, not_seen_of, per_column
 from softmap_edge.toml_table import TomlTable, shown
 
 Array = NDArray[np.float64]
@@ -56,6 +56,7 @@ class Quantity:
     spool_radius_mm: float = 1.0
     labels: tuple[str, ...] = ()  # of markers
     swaps: str = "report"
+    not_seen: tuple[float, ...] | None = ()  # numbers that stand for "not seen"; None keeps all
 
 
 @dataclass(frozen=True)
@@ -329,6 +330,7 @@ def _quantity(log: TomlTable, name: str, command_unit: str) -> Quantity:
         spool_radius_mm=1.0 if radius is None else radius,
         labels=_labels(table, name, flat),
         swaps=table.choice("swaps", ("report", "mend"), "report") if name == "markers" else "report",
+        not_seen=not_seen_of(table) if name in POINTS else (),
     )
     table.done()
     return quantity
