@@ -363,4 +363,5 @@ def _label(triple: list[str], k: int) -> str:
         shared = (cut[0][::-1] if turned else cut[0]).strip(" ._-:")
         if len(set(cut)) == 1 and shared:
             return f"marker {shared}" if shared.isdigit() else shared
-    return f"marker {k}"
+    counted = {re.sub(r"[\[({]\d+[\])}]$", "", name).strip() for name in triple}  # p(1), p(2), p(3)
+    return counted.pop() if len(counted) == 1 and not {""} & counted else f"marker {k}"
