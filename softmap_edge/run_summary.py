@@ -158,9 +158,9 @@ def _extent(seen: np.ndarray[Any, np.dtype[np.float64]] | None) -> list[list[flo
     return [[_rounded(c.min()), _rounded(c.max())] for c in flat.T] if len(flat) else None
 
 
-def _shown(run: Run, seen: np.ndarray[Any, np.dtype[np.float64]]) -> np.ndarray[Any, np.dtype[np.float64]]:
+def _shown(run: Run, seen: np.ndarray[Any, np.dtype[np.float64]] | None) -> Any:
     """Return the points with NaN for those that are not visible."""
-    return np.where(known(run, seen)[..., None], seen, np.nan)
+    return None if seen is None else np.where(known(run, seen)[..., None], seen, np.nan)
 
 
 def _outputs(run: Run) -> dict[str, Any] | None:

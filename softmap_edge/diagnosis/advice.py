@@ -20,6 +20,7 @@ from softmap_edge.diagnosis.conditions import STILL, Conditions, conditions, las
 from softmap_edge.diagnosis.floor import commanded, noise_of_points
 from softmap_edge.diagnosis.repeats import LONG_DWELL
 from softmap_edge.folds import LEAST_FRAMES
+from softmap_edge.plane import AXES, unmeasured
 from softmap_edge.run import Run, known
 
 Floats = NDArray[np.float64]
@@ -153,6 +154,9 @@ def _points(run: Run) -> Iterator[Word]:
     seen = run.markers
     if seen is None or not seen.size:
         return
+    if (axis := unmeasured(run)) is not None:
+        text = f"what happens across the plane of the markers: their {AXES[axis]} is not measured"
+        yield Word("plane", False, text, "see the robot from a second side as well, or with a depth camera", None)
     if seen.shape[1] == 1:
         text = "where along the body an error begins: one marker is seen"
         yield Word("markers", False, text, "add markers at several heights, and three on the base", None)

@@ -1,7 +1,8 @@
 """Points of a run that stand for "not seen": in a run file of an older version, or one that a program wrote.
 
 `softmap import` sets such points aside and leaves the field `NOT_SEEN` in the run, so that they are not looked for
-again. Any other run is searched in the same way (`logs/not_seen.py`, `logs/shifted.py`). Pinned by tests/test_not_seen.py.
+again. Any other run is searched in the same way (`logs/not_seen.py`, `logs/shifted.py`).
+Pinned by tests/test_not_seen.py.
 """
 
 from __future__ import annotations

@@ -18,6 +18,7 @@ from softmap_edge.logs.shifted import find_shifted
 from softmap_edge.logs.swaps import find_swaps, mend_swaps
 from softmap_edge.logs.table import LogTable, place
 from softmap_edge.output import output_of
+from softmap_edge.plane import AXES, PLANE
 
 Array = NDArray[np.float64]
 _TOLD = 5  # swaps, and markers not seen, that are named one by one
@@ -54,12 +55,12 @@ def seen(
         table = _without_lost(table, log.output, log.output.names, commands, 1, notes, doubts)
         return _outputs(table, log, log.output, fields, notes)
     assert log.markers is not None
-    table = _without_lost(table, log.markers, log.markers.labels, commands, 3, notes, doubts)
+    table = _without_lost(table, log.markers, log.markers.labels, commands, log.markers.axes, notes, doubts)
     if log.base is not None:
-        named = tuple(f"base {b}" for b in range(len(log.base.columns) // 3))
-        table = _without_lost(table, log.base, named, commands, 3, notes, doubts)
+        named = tuple(f"base {b}" for b in range(len(log.base.columns) // log.base.axes))
+        table = _without_lost(table, log.base, named, commands, log.base.axes, notes, doubts)
     table = _without_shifts(table, log.markers, doubts)
-    given = np.isfinite(table.numbers(log.markers.columns)).reshape(len(table.t), -1, 3)
+    given = np.isfinite(table.numbers(log.markers.columns)).reshape(len(table.t), -1, log.markers.axes)
     shown = np.asarray(np.any(np.all(given, axis=2), axis=1))
     if not shown.any():
         raise RunError(f"{table.path}: no frame shows a marker; check the columns of `markers`")
@@ -82,9 +83,19 @@ def seen(
         remedy = 'look at them; markers.swaps = "mend" exchanges them back'
         doubts += _few([f"{swap}; {remedy}" for swap in swaps])
     fields["markers"] = mapping.to_base(points)
+    if log.markers.axes < 3:
+        axis = [k for k, _ in mapping.axes].index(2)
+        fields["markers"][..., axis] = 0.0
+        fields[PLANE] = np.array(AXES[axis])
+        notes.append(
+            f"markers in a plane: {AXES[axis]} of the base frame is not measured and counts as 0; nothing across the "
+            "plane is judged"
+        )
     fields["marker_labels"] = np.array(log.markers.labels)
     if log.base is not None:
         fields["base_markers"] = mapping.to_base(_points(table, log.base, doubts))
+        if PLANE in fields:
+            fields["base_markers"][..., AXES.index(str(fields[PLANE]))] = 0.0
     if log.block is not None:
         fields["block"] = table.texts()
     return table.t
@@ -125,7 +136,7 @@ def _without_shifts(table: LogTable, markers: Quantity, doubts: list[str]) -> Lo
     """Return the table with NaN for columns that show another marker, or with the places in their own columns."""
     if markers.not_seen is None:
         return table
-    points = table.numbers(markers.columns).reshape(len(table.t), -1, 3)
+    points = table.numbers(markers.columns).reshape(len(table.t), -1, markers.axes)
     found = find_shifted(points)
     if found is None:
         return table
@@ -183,7 +194,9 @@ def _points(table: LogTable, quantity: Quantity, doubts: list[str]) -> Array:
     raw *= LENGTH[unit]
     raw *= quantity.scale
     raw += quantity.offset
-    points = raw.reshape(len(raw), -1, 3)
+    points = raw.reshape(len(raw), -1, quantity.axes)
+    if quantity.axes < 3:  # a plane: the third coordinate is not measured
+        points = np.concatenate([points, np.zeros((*points.shape[:2], 1))], axis=2)
     doubts += doubts_of_points(points, unit)
     return points
 

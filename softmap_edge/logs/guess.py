@@ -150,7 +150,7 @@ def _find_points(sheets: list[Sheet], found: Found) -> None:
     each = [(points_of(sheet), sheet) for sheet in sheets]
     found.left = [(sheet, one) for triples, sheet in each for one in triples.left]
     found.unknown += [_no_place(sheet, one) for sheet, one in found.left]
-    best, sheet = max(each, key=lambda pair: len(pair[0].places))
+    best, sheet = max(each, key=lambda pair: (len(pair[0].places) and len(pair[0].places[0]), len(pair[0].places)))
     triples = best.places
     if not triples:
         found.unknown.append("where the markers are: no columns named x, y, z of a place; nothing is seen in this run")
@@ -160,12 +160,15 @@ def _find_points(sheets: list[Sheet], found: Found) -> None:
     if not triples:
         triples, found.base = found.base, []
     flat = [name for triple in triples for name in triple]
-    points = sheet.rows_of(flat).reshape(len(sheet.numbers), -1, 3)
-    points[not_seen(points).mask] = np.nan
+    points = _places(sheet, triples)
     named = unit_in_name(flat[0], LENGTH)
     unit, why = (named, f"their names say {named}") if named else length_unit(points, sheet.units.get(flat[0]))
     found.points = (sheet, triples, unit)
     found.assumed.append(f"markers: {len(triples)} of {_called(sheet)}, in the order of the columns, base first; {why}")
+    if len(triples[0]) == 2:
+        found.assumed.append(
+            "markers: they lie in a plane, for there is no z; the third coordinate counts as 0 and as not measured"
+        )
     if best.by_size:
         loose = ", ".join(one[0] for one in best.by_size[:4])
         found.assumed.append(f"markers: {loose}{' …' * (len(best.by_size) > 4)} and what belongs to it, by size alone")
@@ -180,17 +183,25 @@ def _find_points(sheets: list[Sheet], found: Found) -> None:
         found.assumed.append(f"blocks: '{found.label}' names the part of the protocol; folds are cut by it")
 
 
+def _places(sheet: Sheet, places: list[list[str]]) -> Array:
+    """Return markers (rows, M, 3) of columns, NaN where one was not seen; 0 as the third coordinate in a plane."""
+    flat = [name for one in places for name in one]
+    points = sheet.rows_of(flat).reshape(len(sheet.numbers), len(places), -1)
+    points[not_seen(points).mask] = np.nan
+    return np.concatenate([points, np.zeros((*points.shape[:2], 3 - points.shape[2]))], axis=2)
+
+
 def _no_place(sheet: Sheet, one: LeftOut) -> str:
     return (
-        f"what {', '.join(one.columns)} of {_called(sheet)} are: they look like {one.why}, and are left out; name them in "
-        "`markers` if they are a place"
+        f"what {', '.join(one.columns)} of {_called(sheet)} are: they look like {one.why}, and are left out; name them "
+        "in `markers` if they are a place"
     )
 
 
 def _find_drives(sheets: list[Sheet], found: Found) -> None:
     spent = {id(sheet): {found.times[k][0] or ""} for k, sheet in enumerate(sheets)}
-    for other, one in found.left:
-        spent[id(other)] |= set(one.columns)
+    for other, left in found.left:
+        spent[id(other)] |= set(left.columns)
     if found.points is not None:
         sheet, triples, _ = found.points
         spent[id(sheet)] |= {name for triple in [*triples, *found.base] for name in triple} | {found.label or ""}
@@ -277,9 +288,7 @@ def _frame(sheets: list[Sheet], found: Found) -> list[str]:
     sheet, triples, unit = found.points
     names = [name for triple in [*triples, *found.base] for name in triple]
     stated = sheet.units.get(names[0]) or "mm"
-    points = sheet.rows_of(names).reshape(len(sheet.numbers), -1, 3)
-    points[not_seen(points).mask] = np.nan
-    points = points * LENGTH[stated if unit == "file" else unit]
+    points = _places(sheet, [*triples, *found.base]) * LENGTH[stated if unit == "file" else unit]
     rest = _rest(sheets, found, sheet, points)
     base = rest[len(triples) :].mean(axis=0) if found.base else None
     body = rest[: len(triples)]
@@ -302,9 +311,10 @@ def _frame(sheets: list[Sheet], found: Found) -> list[str]:
         origin, why = np.zeros(3), "the origin of the log, for the marker at rest lies on its axis"
     else:
         origin, why = np.zeros(3), "the origin of the log, for want of anything better"
+    or_find = ", or let `softmap align` find it" if len(names) == 3 * (len(triples) + len(found.base)) else ""
     found.unknown.append(
-        f"where the clamp is: {why} is taken; measure it, or let `softmap align` find it; and how the robot is "
-        "mounted: gravity is not declared"
+        f"where the clamp is: {why} is taken; measure it{or_find}; and how the robot is mounted: gravity is not "
+        "declared"
     )
     axes = ", ".join(f'"{axis}"' for axis in axes_for(k, sign))
     place = ", ".join(f"{x:.1f}" for x in origin + 0.0)

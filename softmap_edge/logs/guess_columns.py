@@ -21,7 +21,7 @@ from softmap_edge.logs.readers.columns import HeldColumns
 from softmap_edge.logs.readers.mcap_file import open_mcap, topics
 from softmap_edge.logs.readers.text import TextColumns
 from softmap_edge.logs.table import LARGEST, open_log
-from softmap_edge.logs.triples import Triples, find_triples
+from softmap_edge.logs.triples import Triples, find_pairs, find_triples
 
 Array = NDArray[np.float64]
 ROWS = 20_000  # of each log that are looked at
@@ -197,7 +197,9 @@ def points_of(sheet: Sheet) -> Triples:
     if len(bodies) > 1:  # markers of a rigid body repeat what the body says
         return Triples(bodies, found.left)
     others = [one for one in found.places if one not in bodies]
-    return Triples(others or bodies, found.left)
+    if found.places:
+        return Triples(others or bodies, found.left, found.by_size)
+    return Triples(find_pairs(names, bare, sheet.rows_of), found.left)
 
 
 def _turns(sheet: Sheet, name: str) -> bool:

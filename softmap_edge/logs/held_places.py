@@ -76,13 +76,13 @@ def _against_others(points: Array, again: Mask, m: int) -> Iterator[Held]:
 
 def _predicted(points: Array, again: Mask, m: int) -> tuple[Array | None, float]:
     """Return where a marker should be (K, D) by the others, and the RMS error of that; None where they do not say."""
-    known = np.isfinite(points).all(axis=2)
+    known = np.asarray(np.isfinite(points).all(axis=2), np.bool_)
     others = [n for n in np.argsort(np.abs(np.arange(points.shape[1]) - m), kind="stable") if n != m]
     others = [n for n in others if known[:, n].any() and (again[:, n] & again[:, m]).sum() < again[:, m].sum()]
     chosen = others[:OTHERS]
     if not chosen:
         return None, 0.0
-    there = known[:, chosen].all(axis=1)
+    there = np.asarray(known[:, chosen].all(axis=1), np.bool_)
     fit = there & known[:, m] & ~again[:, m]
     columns = np.column_stack([np.ones(len(points)), points[:, chosen].reshape(len(points), -1)])
     if fit.sum() < ROWS * columns.shape[1]:
@@ -105,8 +105,8 @@ def _digit(places: Array) -> float:
 
 def _against_commands(points: Array, again: Mask, u: Array | None) -> list[Held]:
     """Return where all markers that are seen stand still while the commands move, in a recording with noise."""
-    known = np.isfinite(points).all(axis=2)
-    frozen = again.any(axis=1) & (again | ~known).all(axis=1)
+    known = np.asarray(np.isfinite(points).all(axis=2), np.bool_)
+    frozen = np.asarray(again.any(axis=1) & (again | ~known).all(axis=1), np.bool_)
     if u is None or not frozen.any():
         return []
     stretches = [(a, b) for a, b in _runs(frozen, LEAST) if np.ptp(u[a - 1 : b], axis=0).max() > DRIVEN]

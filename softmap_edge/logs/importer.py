@@ -28,6 +28,7 @@ from softmap_edge.logs.held import unhold
 from softmap_edge.logs.mapping import ANGLE, LENGTH, Mapping, Quantity, read_mapping
 from softmap_edge.logs.plausible import doubts_of_both, doubts_of_rest, doubts_of_rows, doubts_of_time
 from softmap_edge.logs.table import LogTable, read_log
+from softmap_edge.plane import AXES, PLANE
 from softmap_edge.run import NOT_SEEN, SPOOL_RADIUS, Run
 
 __all__ = ["Imported", "Mapping", "import_logs", "read_mapping", "unhold"]
@@ -86,7 +87,7 @@ def import_logs(paths: Sequence[str | os.PathLike[str]], mapping: Mapping) -> Im
         notes.append(f"time counts from {zero:.6g} s of the log")
     _constants(files, mapping, fields, notes)
     made_from = [f"{path.name} sha256 {_sha256(path)}" for path in dict.fromkeys(files)]
-    extra = {name: fields.pop(name) for name in ("base_markers", "marker_labels") if name in fields}
+    extra = {name: fields.pop(name) for name in ("base_markers", "marker_labels", PLANE) if name in fields}
     extra |= _looked_for(mapping, fields) | _spool(mapping)
     try:
         run = Run(t=t, **fields, extra={"made_from": np.array(made_from)} | extra)
@@ -286,6 +287,8 @@ def _constants(files: list[Path], mapping: Mapping, fields: dict[str, Any], note
     fields |= {name: np.asarray(value) for name, value in mapping.constants.items()}
     if mapping.marker_rest_mm is not None:
         fields["marker_rest"] = mapping.to_base(mapping.marker_rest_mm)
+        if PLANE in fields:
+            fields["marker_rest"][:, AXES.index(str(fields[PLANE]))] = 0.0
     grams = next(
         (g for pattern, g in mapping.load_g if any(fnmatch.fnmatch(path.name, pattern) for path in files)),
         None,

@@ -41,7 +41,9 @@ _OTHER: tuple[tuple[str, str], ...] = (
     ("an error or a spread", r"err|std|var|cov|sigma|resid|unc"),
 )
 _NAMELESS = re.compile("unlabel", re.IGNORECASE)
-_DRIVE = re.compile(r"cmd|command|goal|desired|target|refer|_ref|set_?p|joint_?stat|servo|motor|enc|present|tendon", re.IGNORECASE)
+_DRIVE = re.compile(
+    r"cmd|command|goal|desired|target|refer|_ref|set_?p|joint_?stat|servo|motor|enc|present|tendon", re.IGNORECASE
+)
 _PLACE = re.compile(
     r"tip|end|eef|tcp|mark|mk|led|tag|point|pnt|pos|place|loc|trans|coord|body|bodies|rigid|base|clamp|frame|mount|"
     r"node|vert|bead|dot|seg|sec|disk|disc|tool|hand|wrist|elbow|head|finger|joint|link|object|mocap|vicon|opti|"
@@ -200,6 +202,25 @@ def _by_name(stem: str) -> tuple[str | None, bool]:
     if re.fullmatch(r"[\W_]*T[\W_]*", stem) or (words and all(word in short for word in words)):
         return "a force, a rate or an angle, by the name of one letter", False
     return None, place
+
+
+def find_pairs(names: Sequence[str], bare: Sequence[str], rows: Rows) -> list[list[str]]:
+    """Find x, y of markers in a plane, for a log without places in space: by their names, and only if they move."""
+    where = {name: k for k, name in enumerate(bare)}
+    found = []
+    for name in bare:
+        for at in [i for i in range(len(name) - 1, -1, -1) if name[i] in "xX"]:
+            upper = name[at] == "X"
+            pair = [name[:at] + (axis.upper() if upper else axis) + name[at + 1 :] for axis in "xyz"]
+            other, place = _by_name(name[:at] + " " + name[at + 1 :])
+            if pair[1] in where and pair[2] not in where and place and other is None and not _DRIVE.search(name):
+                columns = [names[where[one]] for one in pair[:2]]
+                points = rows(columns)
+                points = points[np.isfinite(points).all(axis=1)]
+                if len(points) > 1 and np.ptp(points, axis=0).any():
+                    found.append(columns)
+                break
+    return found
 
 
 # --- by name ---------------------------------------------------------------------------------
