@@ -29,7 +29,7 @@ def unmeasured(run: Run) -> int | None:
     Raises:
         RunError: the field `plane` is not x, y or z.
     """
-    field = run.extra.get(PLANE)
+    field = getattr(run, "extra", {}).get(PLANE)
     if field is None or run.markers is None:
         return None
     axis = str(np.asarray(field).reshape(-1)[0]) if np.size(field) == 1 else ""

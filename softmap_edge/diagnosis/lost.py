@@ -35,7 +35,7 @@ def lost_points(run: Run, remedy: str = REMEDY) -> tuple[Mask, list[str]]:
     """
     points = run.vertices if run.vertices is not None else run.markers
     if points is None or not points.size or NOT_SEEN in run.extra:
-        return np.zeros((run.frames, 0 if points is None else points.shape[1]), bool), []
+        return np.zeros((len(run.t_seen), 0 if points is None else points.shape[1]), bool), []
     names = run.marker_names if run.markers is not None else [f"vertex {n}" for n in range(points.shape[1])]
     visible = known(run, points)
     raw = np.where(visible[..., None], points if run.output is None else run.outputs[..., None], np.nan)

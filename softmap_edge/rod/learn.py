@@ -247,6 +247,7 @@ def _dependent(commands: Floats, unit: str) -> list[str]:
         weights = weights / weights[np.argmax(np.abs(weights))]
         used = np.flatnonzero(np.abs(weights) > ROUNDED)
         level = float((commands[:, moving[used]] @ weights[used]).mean())
+        level = 0.0 if abs(level) < ROUNDED * float(half[moving[used]].max()) else level
         terms = " ".join(_term(float(w), int(moving[c]) + 1) for c, w in zip(used, weights[used]))
         sums.append(f"{terms.removeprefix('+ ')} stays at {level:.3g} {unit}")
     return [
