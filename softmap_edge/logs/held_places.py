@@ -1,9 +1,10 @@
 """Find markers that stand still to the last digit while the robot moves: a tracker that repeats the last place.
 
-A marker that repeats its place is compared with what the others do. Its place is predicted from theirs by least squares
-over the frames in which it is fresh. If the prediction moves on, far beyond its error and the digits of the file, the
-marker was lost. If all markers stand still together, only a recording with noise shows it: no sensor repeats
-its noise, but a simulation in a play does. Then commands that move meanwhile make the frames not seen.
+A marker that repeats its place is compared with what the others do. Its place is predicted from that of each of them by
+least squares over the frames in which it is fresh. If most predictions move on, far beyond their error and the digits
+of the file, the marker was lost. If all markers stand still together while the commands move, they were lost in a
+recording with noise: no sensor repeats its noise, but a simulation in a play does. In a recording without noise they
+were lost if they jump afterwards to where the commands brought them: a body that leaves a play or a stop does not jump.
 Limit: a marker that is lost while the robot rests is not found, and does no harm. Pinned by tests/test_not_seen.py.
 """
 
@@ -21,9 +22,12 @@ Mask = NDArray[np.bool_]
 LEAST = 2  # repetitions of all markers in a row: a coarse picture may be the same twice
 BEYOND = 5.0  # of the error of the prediction, RMS, and of the digits of the file
 MOVED = 0.02  # of the extent of the marker, likewise
+PART = 0.2  # of the frames of a stretch in which that is so
 OTHERS = 4  # markers from which a place is predicted
 ROWS = 4  # fresh frames for each column of the prediction
 DRIVEN = 0.05  # of the range of a command
+SQUARES = 6  # commands, up to which a place is predicted by their products too
+SLOW = 0.5  # of the new pictures that repeat: the camera is slower than the log
 NOISY = 0.02  # of the pairs of frames outside that repeat: a recording with noise has no more
 
 
@@ -58,41 +62,44 @@ def _runs(again: Mask, least: int) -> Iterator[tuple[int, int]]:
 
 
 def _against_others(points: Array, again: Mask, m: int) -> Iterator[Held]:
-    """Yield where one marker stands still while what the others do says that it moves."""
+    """Yield where one marker stands still while most of the other markers say that it moves."""
     stretches = list(_runs(again[:, m], 1))
     if not stretches or points.shape[1] < 2:
         return
-    predicted, error = _predicted(points, again, m)
-    if predicted is None:
-        return
-    fresh = points[np.isfinite(points[:, m]).all(axis=1) & ~again[:, m], m]
-    extent = float(np.linalg.norm(np.ptp(fresh, axis=0)))
-    least = max(BEYOND * error, BEYOND * _digit(fresh), MOVED * extent)
+    known = np.asarray(np.isfinite(points).all(axis=2), np.bool_)
+    fresh = known[:, m] & ~again[:, m]
+    extent, digit = float(np.linalg.norm(np.ptp(points[fresh, m], axis=0))), _digit(points[fresh, m])
+    votes, count = np.zeros(len(points)), np.zeros(len(points))
+    for n in _others(known, again, m):
+        predicted, error = _fitted(points[:, n], points[:, m], known[:, n], fresh)
+        if predicted is None:
+            continue
+        for first, end in stretches:
+            moved = np.linalg.norm(predicted[first:end] - predicted[first - 1], axis=1)
+            count[first:end] += np.isfinite(moved)
+            votes[first:end] += moved > max(BEYOND * error, BEYOND * digit, MOVED * extent)
     for first, end in stretches:
-        moved = np.linalg.norm(predicted[first:end] - predicted[first - 1], axis=1)
-        if np.isfinite(moved).any() and float(np.nanmax(moved)) > least:
+        if (votes[first:end] > 0.5 * count[first:end]).mean() > PART:
             yield Held(m, np.arange(first, end))
 
 
-def _predicted(points: Array, again: Mask, m: int) -> tuple[Array | None, float]:
-    """Return where a marker should be (K, D) by the others, and the RMS error of that; None where they do not say."""
-    known = np.asarray(np.isfinite(points).all(axis=2), np.bool_)
-    others = [n for n in np.argsort(np.abs(np.arange(points.shape[1]) - m), kind="stable") if n != m]
-    others = [n for n in others if known[:, n].any() and (again[:, n] & again[:, m]).sum() < again[:, m].sum()]
-    chosen = others[:OTHERS]
-    if not chosen:
+def _others(known: Mask, again: Mask, m: int) -> list[int]:
+    """Return the nearest markers of the list that do not stand still whenever marker `m` does."""
+    order = [int(n) for n in np.argsort(np.abs(np.arange(known.shape[1]) - m), kind="stable") if n != m]
+    both = (again & again[:, m : m + 1]).sum(axis=0)
+    return [n for n in order if known[:, n].any() and both[n] < again[:, m].sum()][:OTHERS]
+
+
+def _fitted(columns: Array, places: Array, there: Mask, fresh: Mask) -> tuple[Array | None, float]:
+    """Return places (K, D) by a linear fit to the columns (K, n) in fresh frames, and its RMS error; NaN elsewhere."""
+    fit = there & fresh
+    if fit.sum() < ROWS * (columns.shape[1] + 1):
         return None, 0.0
-    there = np.asarray(known[:, chosen].all(axis=1), np.bool_)
-    fit = there & known[:, m] & ~again[:, m]
-    columns = np.column_stack([np.ones(len(points)), points[:, chosen].reshape(len(points), -1)])
-    if fit.sum() < ROWS * columns.shape[1]:
-        return None, 0.0
-    middle, scale = columns[fit].mean(axis=0), np.maximum(columns[fit].std(axis=0), 1e-9)
-    middle[0], scale[0] = 0.0, 1.0
-    columns = (columns - middle) / scale
-    weights = np.linalg.lstsq(columns[fit], points[fit, m], rcond=1e-6)[0]
-    predicted = np.where(there[:, None], columns @ weights, np.nan)
-    left = predicted[fit] - points[fit, m]
+    scaled = (columns - columns[fit].mean(axis=0)) / np.maximum(columns[fit].std(axis=0), 1e-9)
+    scaled = np.column_stack([np.ones(len(columns)), scaled])
+    weights = np.linalg.lstsq(scaled[fit], places[fit], rcond=1e-6)[0]
+    predicted = np.where(there[:, None], scaled @ weights, np.nan)
+    left = predicted[fit] - places[fit]
     return predicted, float(np.sqrt(np.mean(np.sum(left**2, axis=1))))
 
 
@@ -104,18 +111,47 @@ def _digit(places: Array) -> float:
 
 
 def _against_commands(points: Array, again: Mask, u: Array | None) -> list[Held]:
-    """Return where all markers that are seen stand still while the commands move, in a recording with noise."""
+    """Return where all markers that are seen stand still while the commands move, in a recording with noise.
+
+    Or where the markers jump afterwards to where the commands have brought them.
+    """
     known = np.asarray(np.isfinite(points).all(axis=2), np.bool_)
     frozen = np.asarray(again.any(axis=1) & (again | ~known).all(axis=1), np.bool_)
-    if u is None or not frozen.any():
+    if u is None or not frozen.any() or frozen[1:][~frozen[:-1]].mean() > SLOW:
         return []
     stretches = [(a, b) for a, b in _runs(frozen, LEAST) if np.ptp(u[a - 1 : b], axis=0).max() > DRIVEN]
-    outside = np.ones(len(points), bool)
+    if not stretches:
+        return []
+    if not _noisy(frozen, stretches, u):
+        m = int(known.sum(axis=0).argmax())
+        stretches = list(_jumped(points[:, m], known[:, m] & ~frozen, stretches, u))
+    frames = np.array([k for a, b in stretches for k in range(a, b)], np.intp)
+    return [Held(int(m), frames[known[frames, m]]) for m in np.flatnonzero(known[frames].any(axis=0))]
+
+
+def _noisy(frozen: Mask, stretches: list[tuple[int, int]], u: Array) -> bool:
+    """Whether the recording has noise: outside the stretches no picture repeats, nor while the commands stand still."""
+    outside = np.ones(len(frozen), bool)
     for a, b in stretches:
         outside[a:b] = False
     outside[0] = False
     still = outside & (np.abs(np.diff(u, axis=0, prepend=u[:1])).max(axis=1) < 1e-6)
-    if not stretches or still.sum() < 2 * LEAST or frozen[still].mean() > NOISY or frozen[outside].mean() > NOISY:
-        return []
-    frames = np.concatenate([np.arange(a, b) for a, b in stretches])
-    return [Held(int(m), frames[known[frames, m]]) for m in np.flatnonzero(known[frames].any(axis=0))]
+    return bool(still.sum() >= 2 * LEAST and frozen[still].mean() <= NOISY and frozen[outside].mean() <= NOISY)
+
+
+def _jumped(places: Array, fresh: Mask, stretches: list[tuple[int, int]], u: Array) -> Iterator[tuple[int, int]]:
+    """Yield the stretches after which a marker (K, D) jumps to where the commands have brought it meanwhile."""
+    squares = np.column_stack([u, *(u[:, i] * u[:, j] for i in range(u.shape[1]) for j in range(i + 1))])
+    columns = squares if u.shape[1] <= SQUARES else u
+    predicted, error = _fitted(columns, places, np.ones(len(u), bool), fresh)
+    if predicted is None:
+        return
+    seen = places[fresh]
+    extent = float(np.linalg.norm(np.ptp(seen, axis=0)))
+    least = max(BEYOND * error, BEYOND * _digit(seen), MOVED * extent)
+    for a, b in stretches:
+        if b < len(u) and fresh[b]:
+            moved = predicted[b] - predicted[a - 1]
+            jump = places[b] - places[a - 1]
+            if np.linalg.norm(moved) > least and np.linalg.norm(jump - moved) < 0.5 * np.linalg.norm(moved):
+                yield a, b

@@ -9,7 +9,7 @@ real marker repeats a place only where the robot rests. A place of a marker that
     driven    it stays the same while a command crosses half of its range, and no other place repeats
 
 A place that only repeats, with three different numbers, needs `alone` and one of the others. A marker that is alone at
-rest, under one command that no other frame shares, is not judged. A marker that stands still in all frames stays.
+rest, under one command near which it is seen nowhere else, is not judged. A marker that never moves stays.
 Limits: a place that occurs once and is not three equal numbers; fewer than `LEAST` frames.
 Pinned by tests/test_not_seen.py.
 """
@@ -35,7 +35,9 @@ JUMPS = 2.0  # of the longest of its other steps
 DRIVEN = 0.5  # of the range of a command: more than a play
 DISTINCT = 0.9  # of the other places that occur once: a sensor with noise repeats none
 AT_REST, NEAR = 0.05, 0.1  # of the range of each command: one command, and a command nearly the same
+STEEP = 3.0  # of the extent of a marker for the range of a command: no marker moves farther
 MOST = 3  # repeated places of one marker that are looked at
+MARKS = 10  # places of three equal numbers, likewise
 MANY = 64  # points of a frame: of more, such as vertices, only three equal numbers are looked at
 _SAMPLE = 300  # places between which distances are taken
 _TOLD = 5  # markers that are named one by one
@@ -133,42 +135,73 @@ def _constants(places: Array, u: Array | None, only_marked: bool) -> Iterator[ND
     seen = np.flatnonzero(np.isfinite(places).all(axis=1))
     if len(seen) < LEAST:
         return
-    own = places[seen]
-    marked = (own == own[:, :1]).all(axis=1) if own.shape[1] > 1 else np.zeros(len(own), bool)
-    if only_marked and not marked.any():
+    own, drive = places[seen], None if u is None else u[seen]
+    distinct, which, count = _distinct(own)
+    marked = _marked(distinct, count)
+    if len(distinct) < 2 or (only_marked and not marked.any()):
         return
-    distinct, which, count = np.unique(own, axis=0, return_inverse=True, return_counts=True)
-    which = which.reshape(-1)
-    if len(distinct) < 2:
-        return
-    candidates = list(dict.fromkeys(which[marked].tolist()))
-    if not only_marked:
-        often = [int(k) for k in np.argsort(-count, kind="stable")[:MOST] if count[k] > 1]
-        candidates += [k for k in often if k not in candidates]
-    for k in candidates:
-        at = which == k
-        others = ~at & ~marked
-        if others.any() and _stands_for_lost(own, at, others, bool(marked[at][0]), None if u is None else u[seen]):
-            yield seen[at]
+    candidates = np.flatnonzero(marked).tolist() + ([] if only_marked else _repeated(distinct, count))
+    lost = np.zeros(len(distinct), bool)
+    for k in dict.fromkeys(candidates):
+        rest = ~marked & ~lost
+        rest[k] = False
+        if rest.any() and _stands_for_lost(_Seen(own, distinct, which, count, drive), k, rest, bool(marked[k]), lost):
+            lost[k] = True
+            yield seen[which == k]
 
 
-def _stands_for_lost(own: Array, at: Mask, others: Mask, marked: bool, u: Array | None) -> bool:
-    """Whether the place of frames `at` of a marker's places (n, D) is none, seen against those of `others`."""
-    here, rest = own[at][0], own[others]
-    several, often = np.unique(rest, axis=0, return_counts=True)
-    if len(several) < MOVES:
-        return marked and u is not None and at.sum() < others.sum() and not _rests(u, at, others)
-    alone = _alone(here, several)
-    jumps = _jumps(own, at, others)
-    driven = bool(
-        u is not None
-        and at.sum() > 2
-        and np.ptp(u[at], axis=0).max() > DRIVEN
-        and (often == 1).sum() > DISTINCT * len(rest)
-    )
-    if not marked:
-        return alone and (jumps or driven)
-    return jumps or driven or (alone and not _rests(u, at, others))
+def _distinct(own: Array) -> tuple[Array, NDArray[np.intp], NDArray[np.intp]]:
+    """Return the distinct places of (n, D) in order, which of them each row is, and how often each is there."""
+    order = np.lexsort(own.T[::-1])
+    new = np.r_[True, (own[order[1:]] != own[order[:-1]]).any(axis=1)]
+    which = np.empty(len(own), np.intp)
+    which[order] = np.cumsum(new) - 1
+    return own[order[new]], which, np.bincount(which)
+
+
+def _marked(distinct: Array, count: NDArray[np.intp]) -> Mask:
+    """Return which distinct places (n, D) are three equal numbers, if they are few; the commonest of them."""
+    marked = (distinct == distinct[:, :1]).all(axis=1) & (distinct.shape[1] > 1)
+    if marked.sum() > MARKS:
+        rare = np.flatnonzero(marked)[np.argsort(-count[marked], kind="stable")[MARKS:]]
+        marked[rare] = False
+    return np.asarray(marked, np.bool_)
+
+
+def _repeated(places: Array, count: NDArray[np.intp]) -> list[int]:
+    """Return which places (n, D) occur more than once: those farthest from the middle, and those that occur most."""
+    several = np.flatnonzero(count > 1)
+    away = np.linalg.norm(places[several] - np.median(places, axis=0), axis=1)
+    far, often = np.argsort(-away, kind="stable")[:MOST], np.argsort(-count[several], kind="stable")[:MOST]
+    return [int(k) for k in dict.fromkeys([*several[far], *several[often]])]
+
+
+@dataclass(frozen=True)
+class _Seen:
+    """The places (n, D) of a marker, the distinct ones, which each row is and how often each is there; the commands."""
+
+    own: Array
+    distinct: Array
+    which: NDArray[np.intp]
+    count: NDArray[np.intp]
+    drive: Array | None
+
+
+def _stands_for_lost(seen: _Seen, k: int, rest: Mask, marked: bool, lost: Mask) -> bool:
+    """Whether distinct place `k` is none, seen against the distinct places `rest`; `lost` are none."""
+    at, u = seen.which == k, seen.drive
+    driven = u is not None and at.sum() > 2 and bool(np.ptp(u[at], axis=0).max() > DRIVEN)
+    total = int(seen.count[rest].sum())
+    if rest.sum() < MOVES:
+        return marked and driven and int(seen.count[k]) < total
+    alone = _alone(seen.distinct[k], seen.distinct[rest])
+    if driven and (marked or alone) and (seen.count[rest] == 1).sum() > DISTINCT * total:
+        return True
+    if not (alone or marked):
+        return False
+    jumps = _jumps(seen.own, at, rest[seen.which])
+    far = (alone or jumps) if marked else (alone and jumps)
+    return far and not (u is not None and _rests(seen.own, u, at, ~at & ~lost[seen.which]))
 
 
 def _alone(here: Array, places: Array) -> bool:
@@ -189,14 +222,15 @@ def _jumps(own: Array, at: Mask, others: Mask) -> bool:
     into = (at[1:] & others[:-1]) | (at[:-1] & others[1:])
     if len(usual) < LEAST or not into.any():
         return False
-    return bool(step[into].min() > JUMPS * usual.max())
+    return bool(usual.max() > 0 and step[into].min() > JUMPS * usual.max())
 
 
-def _rests(u: Array | None, at: Mask, others: Mask) -> bool:
-    """Whether the frames `at` may be a robot at rest: all under one command, which no other frame shares."""
-    if u is None:
-        return False
+def _rests(own: Array, u: Array, at: Mask, others: Mask) -> bool:
+    """Whether the frames `at` may be a robot at rest: under one command, near which no frame has a place far away."""
     middle = np.median(u[at], axis=0)
-    if np.abs(u[at] - middle).max() > AT_REST:
+    if np.abs(u[at] - middle).max() > AT_REST or not others.any():
         return False
-    return not bool((np.abs(u[others] - middle).max(axis=1) < NEAR).any())
+    rest, off = own[others], np.abs(u[others] - middle).max(axis=1)
+    extent = float(np.linalg.norm(np.quantile(rest, 0.95, axis=0) - np.quantile(rest, 0.05, axis=0)))
+    away = np.linalg.norm(rest - own[at][0], axis=1)
+    return not bool(((off < NEAR) & (away > (STEEP * off + AT_REST) * extent)).any())
