@@ -20,7 +20,7 @@ from softmap_edge.logs.measured import Column
 from softmap_edge.logs.readers.columns import Array, Cells, Columns
 from softmap_edge.logs.readers.mcap_file import MAGIC
 from softmap_edge.logs.readers.mocap import is_motive, is_trc, open_motive, open_trc
-from softmap_edge.logs.readers.text import find_delimiter, open_text
+from softmap_edge.logs.readers.text import TextColumns, find_delimiter, open_text
 
 LARGEST = 1e20  # of any cell, whatever its unit: times in nanoseconds since 1970 are 2e18
 _TOLD = 6  # columns that are named
@@ -115,6 +115,8 @@ def read_log(path: Path, log: Log) -> LogTable:
     _all_there(path, names, [*wanted, *([] if log.block is None else [log.block])], log.delimiter)
     places = sorted({place(path, names, column) for column in wanted})
     cells = columns.read(places, None if log.block is None else place(path, names, log.block))
+    if log.clock.column is not None and isinstance(columns, TextColumns):
+        columns.refuse_words(place(path, names, log.clock.column))
     cells = _finite(cells, places, names)
     _within_reason(path, columns.where, cells, places, names)
     clock = None if log.clock.column is None else places.index(place(path, names, log.clock.column))

@@ -4,7 +4,7 @@ A triple is found by its names: `tip_x, tip_y, tip_z`, `x1, y1, z1`, `p_tip(1), 
 rates are triples too. Three things decide, in this order:
 
     name    `force`, `rpy`, `omega`: no place. `tip`, `marker`, `position`, a column whose unit is a length: a place
-    values  a triple that never changes, or whose length never does, is a direction or an offset
+    values  a triple that never changes is an offset; one whose length stays 1 or 9.81 is a direction or gravity
     size    any other name counts as a place only if it fits the places: near them, within a factor `FITS` of their
             distance from the origin, and not within ±π, where angles and unit vectors are
 
@@ -27,7 +27,7 @@ Rows = Callable[[list[str]], Array]
 FITS = 100.0  # times larger or smaller than the places: markers of one robot differ by less
 NEAR = 10.0  # times the extent of the places, and 0.9 of their distance from the origin: how far apart markers are
 STEADY = 1e-3  # of its length, by which a triple of constant length varies
-ANGLES = 6.3  # no angle in rad, and no part of a unit vector, is larger
+DIRECTIONS = (1.0, 9.81)  # the length of a direction, and of gravity in m/s²
 
 _OTHER: tuple[tuple[str, str], ...] = (
     ("a force or torque", r"force|torque|moment|wrench|load|press|strain|stress|tension|tof|tau|curr|volt|effort"),
@@ -140,11 +140,17 @@ def _judged(families: list[list[_Candidate]]) -> tuple[list[list[_Candidate]], l
 
 
 def _by_size(families: list[list[_Candidate]]) -> tuple[list[list[_Candidate]], list[list[_Candidate]]]:
-    """Return the families that stand for the places where no name says so, and the others: the largest numbers."""
-    top = max(families, key=lambda family: (float(np.median([one.size for one in family])) > ANGLES, len(family)))
-    rest = [family for family in families if family is not top]
-    alike = [] if float(np.median([one.size for one in top])) > ANGLES else rest  # all small: in m, none stands out
-    return [top, *alike], [family for family in rest if family not in alike]
+    """Return the families that stand for the places where no name says so, and the others.
+
+    Those beyond ±π, and of them those nearest in size to the largest set; if all are within it, all: places in m.
+    """
+    sizes = [float(np.median([one.size for one in family])) for family in families]
+    beyond = [k for k, family in enumerate(families) if max(one.largest for one in family) > np.pi]
+    if not beyond:
+        return families, []
+    top = sizes[max(beyond, key=lambda k: len(families[k]))]
+    alike = [k for k in beyond if top / FITS < sizes[k] < top * FITS]
+    return [families[k] for k in alike], [family for k, family in enumerate(families) if k not in alike]
 
 
 def _misfit(family: list[_Candidate], known: list[_Candidate]) -> str | None:
@@ -183,7 +189,8 @@ def _steady(points: Array, length: Array) -> str | None:
     if not np.ptp(points, axis=0).any():
         return "an offset, for they never change"
     middle = float(np.median(length))
-    if middle > 0 and float(np.quantile(np.abs(length - middle), 0.9)) < STEADY * middle:
+    usual = any(abs(middle - size) < 0.02 * size for size in DIRECTIONS)
+    if usual and float(np.quantile(np.abs(length - middle), 0.9)) < STEADY * middle:
         return f"a direction or gravity, for their length is {middle:.4g} in all rows"
     return None
 

@@ -93,6 +93,15 @@ class TextColumns:
         said += self._worded(count)
         return Cells(np.concatenate(parts), found, at, said)
 
+    def refuse_words(self, column: int) -> None:
+        """Raise RunError if a column that was read, such as the time, holds a word."""
+        for (other, word), (_, line) in self.words.found.items():
+            if other == column:
+                raise RunError(
+                    f"{self.path}: line {line}, column {self.names[column]}: '{word}' is not a number; correct or "
+                    "remove the line"
+                )
+
     def _worded(self, rows: int) -> tuple[str, ...]:
         """Return the sentence on words in columns of numbers; raise RunError where a column holds text."""
         if (text := self.words.mostly(rows)) is not None:
