@@ -199,7 +199,8 @@ def points_of(sheet: Sheet) -> Triples:
     others = [one for one in found.places if one not in bodies]
     if found.places:
         return Triples(others or bodies, found.left, found.by_size)
-    return Triples(find_pairs(names, bare, sheet.rows_of), found.left)
+    plane = find_pairs(names, bare, sheet.rows_of)
+    return Triples(plane.places, [*found.left, *plane.left], plane.by_size)
 
 
 def _turns(sheet: Sheet, name: str) -> bool:

@@ -102,14 +102,19 @@ def find_triples(names: Sequence[str], bare: Sequence[str], rows: Rows, is_lengt
     fours = [columns for columns, _ in found if len(columns) == 4]
     turned = [LeftOut(tuple(four), "a quaternion") for four in fours if np.nanmax(np.nanstd(rows(four), axis=0)) > 0]
     candidates = [_candidate(one, stem, rows, is_length) for one, stem in found if len(one) == 3]
-    families: dict[str, list[_Candidate]] = {}
-    for one in candidates:
-        families.setdefault(re.sub(r"\d+", "#", one.stem), []).append(one)
-    accepted, left = _judged(list(families.values()))
+    accepted, left = _judged(_families(candidates))
     order = {one.columns[0]: k for k, one in enumerate(candidates)}
     places = sorted((one.columns for family in accepted for one in family), key=lambda columns: order[columns[0]])
     loose = [one.columns for family in accepted for one in family if not one.named]
     return Triples(places, [*sorted(left, key=lambda one: order[one.columns[0]]), *turned], loose)
+
+
+def _families(candidates: list[_Candidate]) -> list[list[_Candidate]]:
+    """Return the candidates in sets of which the names differ in digits only."""
+    families: dict[str, list[_Candidate]] = {}
+    for one in candidates:
+        families.setdefault(re.sub(r"\d+", "#", one.stem), []).append(one)
+    return list(families.values())
 
 
 def _judged(families: list[list[_Candidate]]) -> tuple[list[list[_Candidate]], list[LeftOut]]:
@@ -211,23 +216,39 @@ def _by_name(stem: str) -> tuple[str | None, bool]:
     return None, place
 
 
-def find_pairs(names: Sequence[str], bare: Sequence[str], rows: Rows) -> list[list[str]]:
-    """Find x, y of markers in a plane, for a log without places in space: by their names, and only if they move."""
+def find_pairs(names: Sequence[str], bare: Sequence[str], rows: Rows) -> Triples:
+    """Find x, y of markers in a plane, for a log without places in space; one of them at least has a place's name.
+
+    Args:
+        names, bare, rows: as of `find_triples`.
+    """
+
+    def padded(columns: list[str]) -> Array:
+        points = rows(columns)
+        return np.column_stack([points, np.zeros(len(points))])
+
+    pairs = list(_pairs(list(names), list(bare), rows))
+    families = _families([_candidate(one, stem, padded, lambda _: False) for one, stem in pairs])
+    accepted, left = _judged(families) if any(family[0].named for family in families) else ([], [])
+    order = {pair[0]: k for k, (pair, _) in enumerate(pairs)}
+    places = sorted((one.columns for family in accepted for one in family), key=lambda columns: order[columns[0]])
+    return Triples(places, left, [one.columns for family in accepted for one in family if not one.named])
+
+
+def _pairs(names: list[str], bare: list[str], rows: Rows) -> Iterator[tuple[list[str], str]]:
+    """Yield x, y without z that move, and what their names share."""
     where = {name: k for k, name in enumerate(bare)}
-    found = []
     for name in bare:
         for at in [i for i in range(len(name) - 1, -1, -1) if name[i] in "xX"]:
             upper = name[at] == "X"
-            pair = [name[:at] + (axis.upper() if upper else axis) + name[at + 1 :] for axis in "xyz"]
-            other, place = _by_name(name[:at] + " " + name[at + 1 :])
-            if pair[1] in where and pair[2] not in where and place and other is None and not _DRIVE.search(name):
-                columns = [names[where[one]] for one in pair[:2]]
+            second, third = (name[:at] + (axis.upper() if upper else axis) + name[at + 1 :] for axis in "yz")
+            if second in where and third not in where and not _DRIVE.search(name):
+                columns = [names[where[one]] for one in (name, second)]
                 points = rows(columns)
                 points = points[np.isfinite(points).all(axis=1)]
                 if len(points) > 1 and np.ptp(points, axis=0).any():
-                    found.append(columns)
+                    yield columns, name[:at] + " " + name[at + 1 :]
                 break
-    return found
 
 
 # --- by name ---------------------------------------------------------------------------------
