@@ -220,7 +220,7 @@ def _pairs(u: Floats, alive: NDArray[np.intp], grouped: set[frozenset[int]]) -> 
         for i, j in np.argwhere(np.triu(r, 1) > TOGETHER)
         if frozenset((int(alive[i]), int(alive[j]))) not in grouped
     ]
-    return sorted(found, key=lambda pair: -pair[2])[:PAIRS]
+    return sorted(found, key=lambda pair: (-round(pair[2], 2), pair[:2]))[:PAIRS]
 
 
 def _speed(u: Floats, state: Conditions) -> Word:
