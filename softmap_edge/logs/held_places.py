@@ -25,6 +25,7 @@ MOVED = 0.02  # of the extent of the marker, likewise
 PART = 0.2  # of the frames of a stretch in which that is so
 OTHERS = 4  # markers from which a place is predicted
 ROWS = 4  # fresh frames for each column of the prediction
+MOST = 20_000  # frames of a fit
 DRIVEN = 0.05  # of the range of a command
 SQUARES = 6  # commands, up to which a place is predicted by their products too
 SLOW = 0.5  # of the new pictures that repeat: the camera is slower than the log
@@ -63,24 +64,23 @@ def _runs(again: Mask, least: int) -> Iterator[tuple[int, int]]:
 
 def _against_others(points: Array, again: Mask, m: int) -> Iterator[Held]:
     """Yield where one marker stands still while most of the other markers say that it moves."""
-    stretches = list(_runs(again[:, m], 1))
-    if not stretches or points.shape[1] < 2:
+    rows = np.flatnonzero(again[:, m])
+    if not len(rows) or points.shape[1] < 2:
         return
     known = np.asarray(np.isfinite(points).all(axis=2), np.bool_)
     fresh = known[:, m] & ~again[:, m]
-    extent, digit = float(np.linalg.norm(np.ptp(points[fresh, m], axis=0))), _digit(points[fresh, m])
-    votes, count = np.zeros(len(points)), np.zeros(len(points))
+    since = np.maximum.accumulate(np.where(again[:, m], 0, np.arange(len(points))))[rows]  # where each place is new
+    least = max(BEYOND * _digit(points[fresh, m]), MOVED * float(np.linalg.norm(np.ptp(points[fresh, m], axis=0))))
+    votes = np.zeros(len(rows))
     for n in _others(known, again, m):
         predicted, error = _fitted(points[:, n], points[:, m], known[:, n], fresh)
-        if predicted is None:
-            continue
-        for first, end in stretches:
-            moved = np.linalg.norm(predicted[first:end] - predicted[first - 1], axis=1)
-            count[first:end] += np.isfinite(moved)
-            votes[first:end] += moved > max(BEYOND * error, BEYOND * digit, MOVED * extent)
-    for first, end in stretches:
-        if (votes[first:end] > 0.5 * count[first:end]).mean() > PART:
-            yield Held(m, np.arange(first, end))
+        if predicted is not None:
+            moved = np.linalg.norm(predicted[rows] - predicted[since], axis=1)
+            votes += np.where(moved > max(BEYOND * error, least), 1.0, np.where(np.isnan(moved), 0.0, -1.0))
+    _, stretch = np.unique(since, return_inverse=True)
+    share = np.bincount(stretch, votes > 0) / np.bincount(stretch)
+    if (share > PART).any():
+        yield Held(m, rows[share[stretch] > PART])
 
 
 def _others(known: Mask, again: Mask, m: int) -> list[int]:
@@ -97,7 +97,8 @@ def _fitted(columns: Array, places: Array, there: Mask, fresh: Mask) -> tuple[Ar
         return None, 0.0
     scaled = (columns - columns[fit].mean(axis=0)) / np.maximum(columns[fit].std(axis=0), 1e-9)
     scaled = np.column_stack([np.ones(len(columns)), scaled])
-    weights = np.linalg.lstsq(scaled[fit], places[fit], rcond=1e-6)[0]
+    some = np.flatnonzero(fit)[:: max(1, int(fit.sum()) // MOST)]
+    weights = np.linalg.lstsq(scaled[some], places[some], rcond=1e-6)[0]
     predicted = np.where(there[:, None], scaled @ weights, np.nan)
     left = predicted[fit] - places[fit]
     return predicted, float(np.sqrt(np.mean(np.sum(left**2, axis=1))))

@@ -26,6 +26,7 @@ Rows = Callable[[list[str]], Array]
 
 FITS = 100.0  # times larger or smaller than the places: markers of one robot differ by less
 NEAR = 10.0  # times the extent of the places, and 0.9 of their distance from the origin: how far apart markers are
+LONGEST = 200  # characters of a name
 STEADY = 1e-3  # of its length, by which a triple of constant length varies
 DIRECTIONS = (1.0, 9.81)  # the length of a direction, and of gravity in m/s²
 
@@ -134,9 +135,10 @@ def _judged(families: list[list[_Candidate]]) -> tuple[list[list[_Candidate]], l
     unnamed = [family for family in standing if not family[0].named]
     if not named and unnamed:
         named, unnamed = _by_size(unnamed)
-    known = [one for family in named for one in family]
+    known = _together([one for family in named for one in family]) if named else None
     for family in unnamed:
-        why = _misfit(family, known)
+        assert known is not None  # without a name that says so, the largest set stands for the places
+        why = _misfit(_together(family), known)
         if why is None:
             named.append(family)
         else:
@@ -158,17 +160,33 @@ def _by_size(families: list[list[_Candidate]]) -> tuple[list[list[_Candidate]], 
     return [families[k] for k in alike], [family for k, family in enumerate(families) if k not in alike]
 
 
-def _misfit(family: list[_Candidate], known: list[_Candidate]) -> str | None:
-    """Return why a family without a telling name is no place alongside the `known` places; None if it is one."""
-    own, size = (float(np.median([one.size for one in some])) for some in (family, known))
-    if max(one.largest for one in family) <= np.pi:
-        far = max(one.largest for one in known)
-        return "angles, within ±π" if far > np.pi else "angles or places in m, for they are within ±π"
-    if not size / FITS < own < size * FITS:
-        return f"no place: they are of size {own:.3g}, the places of size {size:.3g}"
-    middles = [np.mean([one.middle for one in some], axis=0) for some in (family, known)]
-    apart = float(np.linalg.norm(middles[0] - middles[1]))
-    if apart > max(NEAR * max(one.extent for one in known), 0.9 * size):
+@dataclass(frozen=True)
+class _Set:
+    """Several triples together: their size, largest number, middle (3,) and extent."""
+
+    size: float
+    largest: float
+    middle: Array
+    extent: float
+
+
+def _together(family: list[_Candidate]) -> _Set:
+    return _Set(
+        float(np.median([one.size for one in family])),
+        max(one.largest for one in family),
+        np.mean([one.middle for one in family], axis=0),
+        max(one.extent for one in family),
+    )
+
+
+def _misfit(family: _Set, known: _Set) -> str | None:
+    """Return why triples without a telling name are no places alongside the `known` places; None if they are."""
+    if family.largest <= np.pi:
+        return "angles, within ±π" if known.largest > np.pi else "angles or places in m, for they are within ±π"
+    if not known.size / FITS < family.size < known.size * FITS:
+        return f"no place: they are of size {family.size:.3g}, the places of size {known.size:.3g}"
+    apart = float(np.linalg.norm(family.middle - known.middle))
+    if apart > max(NEAR * known.extent, 0.9 * known.size):
         return f"no place of this robot: they are {apart:.3g} away from the others"
     return None
 
@@ -239,7 +257,7 @@ def _pairs(names: list[str], bare: list[str], rows: Rows) -> Iterator[tuple[list
     """Yield x, y without z that move, and what their names share."""
     where = {name: k for k, name in enumerate(bare)}
     for name in bare:
-        for at in [i for i in range(len(name) - 1, -1, -1) if name[i] in "xX"]:
+        for at in _letters(name):
             upper = name[at] == "X"
             second, third = (name[:at] + (axis.upper() if upper else axis) + name[at + 1 :] for axis in "yz")
             if second in where and third not in where and not _DRIVE.search(name):
@@ -262,13 +280,18 @@ def _triples(names: list[str], bare: list[str], rows: Rows) -> Iterator[tuple[li
         yield triple, stem
 
 
+def _letters(name: str) -> list[int]:
+    """Return where a name has an x, the last first; nowhere in a name that no person writes."""
+    return [i for i in range(len(name) - 1, -1, -1) if name[i] in "xX"] if len(name) <= LONGEST else []
+
+
 def _by_letter(names: list[str], bare: list[str]) -> Iterator[tuple[list[str], str]]:
     """Yield triples whose names differ in x, y, z. Of names that are there several times, the first of each, …"""
     where: dict[str, list[int]] = {}
     for k, name in enumerate(bare):
         where.setdefault(name, []).append(k)
     for k, name in enumerate(bare):
-        for at in [i for i in range(len(name) - 1, -1, -1) if name[i] in "xX"]:
+        for at in _letters(name):
             upper = name[at] == "X"
             triple = [name[:at] + (axis.upper() if upper else axis) + name[at + 1 :] for axis in "xyz"]
             fourth = name[:at] + ("W" if upper else "w") + name[at + 1 :]
@@ -283,7 +306,7 @@ def _by_number(names: list[str], bare: list[str]) -> Iterator[tuple[list[str], s
     """Yield triples of neighbours that count 1, 2, 3 or 0, 1, 2 in brackets, if their name says that it is a place."""
     groups: dict[str, list[tuple[int, int]]] = {}
     for k, name in enumerate(bare):
-        if (parts := _INDEX.match(name)) is not None and parts[1]:
+        if len(name) <= LONGEST and (parts := _INDEX.match(name)) is not None and parts[1]:
             groups.setdefault(f"{parts[1]}{parts[2]}{parts[3]}", []).append((int(parts[4]), k))
     for stem, members in groups.items():
         numbers, columns = [n for n, _ in members], [k for _, k in members]
