@@ -25,6 +25,7 @@ from softmap_edge.features import Body, FeatureMap, marker_features, section_fea
 from softmap_edge.learned_in import LearnedIn, read_learned_in
 from softmap_edge.output import Output
 from softmap_edge.outside import check_commands
+from softmap_edge.plane import flat
 from softmap_edge.predictors import Contact, Shape, stations, tip, whole
 from softmap_edge.shape_arrays import family_from
 from softmap_edge.ticks import Calibration, converted
@@ -302,7 +303,7 @@ class Model:
         """Return the points (K, N, 3) mm at the run's seen times; markers of the run if it has markers."""
         vertices = self.points.predict(self.chain, self.chain_params[None], self.inputs(run))[0]
         carry = self.view(run).carry
-        return vertices if carry is None else np.asarray(np.einsum("mn,knc->kmc", carry, vertices))
+        return flat(vertices if carry is None else np.asarray(np.einsum("mn,knc->kmc", carry, vertices)), run)
 
     def features(self, run: Run) -> Floats:
         """Return the predicted features (K, V, 3) mm at the run's seen times."""
@@ -329,7 +330,7 @@ class Model:
         What `inputs` makes of the run may be given, here and below, where it is asked again and again.
         """
         chain = self.chain if tuple(names) == self.chain_names else _core.Chain(list(names), self.channels)
-        return self.view(run).predictor.predict(chain, params, inputs or self.inputs(run))
+        return flat(self.view(run).predictor.predict(chain, params, inputs or self.inputs(run)), run)
 
     def through(self, weights: Floats, run: Run) -> _core.Predictor | None:
         """Return the predictor of linear forms of the features, `weights` (3V, M); None where shapes are no tables.
@@ -337,7 +338,8 @@ class Model:
         Outputs are three to a vector: forms of zeros fill up. Nothing that senses can be asked with it.
         """
         filled = np.zeros((len(weights), -(-weights.shape[1] // 3) * 3))
-        filled[:, : weights.shape[1]] = weights
+        each = flat(weights.T.reshape(weights.shape[1], -1, 3), run)
+        filled[:, : weights.shape[1]] = each.reshape(weights.shape[1], -1).T
         return self.view(run).predictor.through(filled)
 
     def predict_forms(

@@ -25,6 +25,7 @@ from softmap_edge import run_fields as fields
 from softmap_edge.errors import RunError
 from softmap_edge.npz import MAX_BYTES, read_npz, write_npz
 from softmap_edge.output import Output, output_of
+from softmap_edge.plane import PLANE
 
 Array = NDArray[np.float64]
 Source = Literal["goal", "present"]
@@ -32,8 +33,9 @@ MAX_NUMBERS = 1 << 26  # of a run: 40 000 frames of 548 vertices
 BASE_MARKERS = "base_markers"  # the field in which an import keeps markers (K, B, 3) mm that are fixed to the base
 ROLL_SEEN = "roll_seen"  # a field: whether a run shows what the body does about its own axis
 SPOOL_RADIUS = "spool_radius_mm"  # the field in which an import keeps the radius of the spools of its mapping
+NOT_SEEN = "not_seen"  # the field that says that places which stand for "not seen" were looked for, or are kept
 # Fields of `extra` that our own verbs write.
-OURS = {BASE_MARKERS, SPOOL_RADIUS, ROLL_SEEN, "made_by", "made_from", "marker_labels"}
+OURS = {BASE_MARKERS, SPOOL_RADIUS, ROLL_SEEN, NOT_SEEN, PLANE, "made_by", "made_from", "marker_labels"}
 
 
 def _load(path: str | os.PathLike[str], limit: int = MAX_BYTES) -> Run:

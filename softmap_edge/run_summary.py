@@ -15,9 +15,10 @@ import numpy as np
 from softmap_edge.diagnosis.advice import Word, advice
 from softmap_edge.diagnosis.collinear import collinear_conditions
 from softmap_edge.diagnosis.conditions import HOME, conditions, orientations
+from softmap_edge.diagnosis.lost import REMEDY, without_lost
 from softmap_edge.report.advice_text import advice_lines
 from softmap_edge.report.numbers import folded
-from softmap_edge.run import BASE_MARKERS, OURS, Run
+from softmap_edge.run import BASE_MARKERS, OURS, Run, known
 from softmap_edge.ticks import converted
 from softmap_edge.views import laid
 
@@ -30,10 +31,11 @@ def summary(recorded: Run, model: Any = None) -> dict[str, Any]:
     """Return the contents of a run, with units in the keys; `missing` and `warnings` are sentences.
 
     `collinear` are the conditions that cannot be separated from time or the commands (`collinear.Collinear`, `text`).
+    `not_seen` are sentences on points that stand for "not seen". Such a run is not sound; they count as not visible.
     `can_tell` and `cannot_tell` are lists of `{about, tells, text, remedy, minutes}` (`advice.Word`). A `model` with a
     calibration converts the ticks of the run to commands. Raises CalibrationError if it belongs to other servos.
     """
-    run = converted(model, recorded)
+    run, lost = without_lost(converted(model, recorded), REMEDY)
     kind = next((name for name in ("vertices", "markers", "points") if getattr(run, name) is not None), None)
     seen = None if kind is None else getattr(run, kind)
     document: dict[str, Any] = {
@@ -48,7 +50,7 @@ def summary(recorded: Run, model: Any = None) -> dict[str, Any]:
         "frames": run.frames,
         "frame_rate_hz": _rate(run.t_seen),
         "seen": kind,
-        "points_mm": None if run.output is not None else _extent(seen),
+        "points_mm": None if run.output is not None else _extent(_shown(run, seen) if lost else seen),
         "output": _outputs(run),
         "timeless": run.timeless,
         "base_markers": int(run.extra[BASE_MARKERS].shape[1]) if _has_base(run) else 0,
@@ -64,6 +66,7 @@ def summary(recorded: Run, model: Any = None) -> dict[str, Any]:
         **_visits(run),
         "unknown_fields": sorted(set(run.extra) - OURS),
         "roll_seen": not laid(run),
+        "not_seen": lost,
         "hash": recorded.hash(),
     }
     document["missing"] = _missing(run, document)
@@ -112,6 +115,7 @@ def sentences(document: dict[str, Any]) -> list[str]:
         lines.append(f"blocks    {len(d['blocks'])}: {', '.join(d['blocks'][:8])}{' …' * (len(d['blocks']) > 8)}")
     if d["unknown_fields"]:
         lines.append(f"kept      {', '.join(d['unknown_fields'])} (not known here, ignored)")
+    lines += [line for text in d.get("not_seen", []) for line in _hung("look at", text)]
     lines += [line for text in d["missing"] for line in _hung("missing", text)]
     lines += [line for text in d["warnings"] for line in _hung("look at", text)]
     lines += [line for one in d["collinear"] for line in _hung("alike", one["text"])]
@@ -152,6 +156,11 @@ def _extent(seen: np.ndarray[Any, np.dtype[np.float64]] | None) -> list[list[flo
     flat = seen.reshape(-1, 3)
     flat = flat[np.isfinite(flat).all(axis=1)]
     return [[_rounded(c.min()), _rounded(c.max())] for c in flat.T] if len(flat) else None
+
+
+def _shown(run: Run, seen: np.ndarray[Any, np.dtype[np.float64]] | None) -> Any:
+    """Return the points with NaN for those that are not visible."""
+    return None if seen is None else np.where(known(run, seen)[..., None], seen, np.nan)
 
 
 def _outputs(run: Run) -> dict[str, Any] | None:

@@ -2,11 +2,16 @@
 
 import numpy as np
 import pytest
+from logs import ROOT
 
 from softmap_edge import Run
 from softmap_edge.diagnosis.advice import asked
 from softmap_edge.diagnosis.collinear import collinear_conditions, tied_channels
+from softmap_edge.diagnosis.diagnose import diagnose
+from softmap_edge.logs.guess import guess_mapping
+from softmap_edge.logs.importer import import_logs, read_mapping
 from softmap_edge.protocol import standard_protocol
+from softmap_edge.rod.learn import learn, learned_model
 from softmap_edge.run_summary import sentences, summary
 
 P = standard_protocol()
@@ -143,3 +148,47 @@ def test_check_and_diagnose_say_what_is_tied():
     poor = [w for w in summary(tied)["cannot_tell"] if w["about"] == "channels"]
     assert len(poor) == 1 and "channels 0, 1, 2 add up to 0 (2 of 3 directions move)" in poor[0]["text"]
     assert any("channels 0, 1, 2 add up" in text for text in asked([tied], P.frames, True))
+
+
+def about_channels(command):
+    return [w["text"] for w in summary(run(command=command))["cannot_tell"] if w["about"] == "channels"]
+
+
+def free(count, seed=5):
+    """Channels (T, count) that move independently of one another."""
+    rng = np.random.default_rng(seed)
+    return np.stack([8 * np.sin(2 * np.pi * rng.uniform(0.01, 0.2) * P.t + k) for k in range(count)], axis=1)
+
+
+def test_a_log_of_three_tendons_that_add_up_to_zero(tmp_path):
+    path = ROOT / "tests" / "data" / "values" / "three.csv"
+    (tmp_path / "map.toml").write_text(guess_mapping([path]).text)
+    one = import_logs([path], read_mapping(tmp_path / "map.toml")).run
+    words = summary(one)
+    assert not any(w["about"] == "channels" for w in words["can_tell"])
+    (poor,) = [w for w in words["cannot_tell"] if w["about"] == "channels"]
+    assert "channels 0, 1, 2 add up to 0 (2 of 3 directions move)" in poor["text"]
+    assert "each alone" in poor["remedy"] and "differences" in poor["remedy"]
+    fit = learn(one, degree=1, static=True)
+    assert any("2 of 3 directions" in note and "stays at 0 mm" in note for note in fit.notes)
+    found = diagnose(learned_model(one, fit), one, effects=["gain", "backlash"])
+    assert any("channels 0, 1, 2 add up to 0" in remark for remark in found.remarks)
+
+
+def test_each_pair_is_named_alongside_a_group():
+    u = free(3)
+    told = about_channels(np.c_[u[:, :2], -u[:, 0] - u[:, 1], u[:, 2], u[:, 2]])
+    assert len(told) == 2 and "channels 0, 1, 2 add up to 0" in told[0] and "channel 3 vs. channel 4" in told[1]
+
+
+def test_every_pair_that_moves_together_is_named():
+    u = free(2)
+    told = about_channels(np.c_[u, 2.0 * u[:, :1], -u[:, 1:]])
+    assert len(told) == 2 and "channel 0 vs. channel 2" in told[0] and "channel 1 vs. channel 3" in told[1]
+
+
+def test_one_channel_that_is_the_mean_of_four():
+    u = free(4)
+    (told,) = about_channels(np.c_[u, u.mean(axis=1)])
+    assert "channels 0, 1, 2, 3, 4 are tied" in told and "(4 of 5 directions move)" in told
+    assert about_channels(u) == []

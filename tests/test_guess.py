@@ -141,7 +141,7 @@ def test_a_force_beside_a_place_is_no_marker(tmp_path):
     head = ["time", "u1", "u2", "x", "y", "z", "fx", "fy", "fz"]
     seen = np.stack([points[:, 2], force], axis=1)
     found = guess_mapping([written(tmp_path, bench_log(head, t, np.column_stack([np.sin(t), np.cos(t)]), seen))])
-    assert '["x", "y", "z"]' in found.text and "fx" not in found.text
+    assert '["x", "y", "z"]' in found.text and '"fx"' not in found.text and told(found.unknown, "fx, fy, fz", "force")
 
 
 def test_units_in_the_names_of_markers_are_believed(tmp_path):

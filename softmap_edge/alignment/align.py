@@ -25,6 +25,7 @@ from softmap_edge.alignment.rigid import Pose
 from softmap_edge.alignment.solve import solve
 from softmap_edge.diagnosis.conditions import conditions
 from softmap_edge.errors import AlignError
+from softmap_edge.plane import unmeasured
 from softmap_edge.run import Run, known
 
 if TYPE_CHECKING:
@@ -142,6 +143,11 @@ def home_visits(run: Run, model: Model) -> list[NDArray[np.int64]]:
 
 
 def _seen(run: Run, points: Floats) -> tuple[Floats, Mask]:
+    if unmeasured(run) is not None:
+        raise AlignError(
+            "the markers of the run lie in a plane, and what is across it is not measured, so no frame follows from "
+            "them; give the clamp and the axes in the mapping ([frame] origin_mm and axes), and import again"
+        )
     visible = known(run, points)
     if not visible.any():
         raise AlignError("no point is visible in any frame of the run; check its field `visible`")

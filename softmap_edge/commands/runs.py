@@ -112,18 +112,19 @@ def check(args: argparse.Namespace) -> int:
     document: dict[str, Any] = {"schema": SCHEMA, "path": str(path), "kind": kind}
     try:
         found = _run(path, args.bundle) if kind == "run" else _bundle(path) if kind == "bundle" else read_summary(path)
-        document |= {"sound": True, "fault": None} | found
+        lost = found.get("not_seen", [])
+        document |= {"sound": not lost, "fault": "; ".join(lost) or None} | found
     except SoftmapError as fault:
         document |= {"sound": False, "fault": str(fault)}
     if args.json:
         print(json.dumps(document, ensure_ascii=False))
-    elif not document["sound"]:
+    elif "not_seen" not in document and not document["sound"]:
         print(f"not sound: {document['fault']}", file=sys.stderr)
     else:
         say = {"bundle": _bundle_lines, "sweep": sweep_sentences, "run": sentences}
         lines = say[document["kind"]](document)
         lines += effect_lines(document["effects"]) if args.bundle and document["kind"] == "run" else []
-        print("\n".join([f"sound     {path}", *lines]))
+        print("\n".join([f"{'sound    ' if document['sound'] else 'not sound'} {path}", *lines]))
     return DONE if document["sound"] else FAULT
 
 

@@ -20,6 +20,7 @@ from softmap_edge.diagnosis.conditions import STILL, Conditions, conditions, las
 from softmap_edge.diagnosis.floor import commanded, noise_of_points
 from softmap_edge.diagnosis.repeats import LONG_DWELL
 from softmap_edge.folds import LEAST_FRAMES
+from softmap_edge.plane import AXES, unmeasured
 from softmap_edge.run import Run, known
 
 Floats = NDArray[np.float64]
@@ -32,6 +33,7 @@ SPEEDS = 2.0  # ratio of fast to slow below which delay and play look alike
 DWELL = 5.0  # s of rest that shows creep
 MINORITY = 0.1  # of the frames reached from the rarer side
 TOGETHER = 0.95  # correlation from which two channels are one
+PAIRS = 4  # of such channels that are named
 WARMING = 3.0  # °C by which it must have changed
 DWELL_FRAMES = LONG_DWELL + 2  # in three dwells they tell the noise (`noise.ENOUGH`)
 BESIDE = 0.02  # of their length: markers nearer to one line than this show no twist
@@ -153,6 +155,9 @@ def _points(run: Run) -> Iterator[Word]:
     seen = run.markers
     if seen is None or not seen.size:
         return
+    if (axis := unmeasured(run)) is not None:
+        text = f"what happens across the plane of the markers: their {AXES[axis]} is not measured"
+        yield Word("plane", False, text, "see the robot from a second side as well, or with a depth camera", None)
     if seen.shape[1] == 1:
         text = "where along the body an error begins: one marker is seen"
         yield Word("markers", False, text, "add markers at several heights, and three on the base", None)
@@ -187,26 +192,35 @@ def _channels(u: Floats) -> Iterator[Word]:
         text = f"anything about channel {named}: it never moves"
         yield Word("channels", False, text, "move it to both ends of its range and back", float(len(still)))
     alive = np.flatnonzero(span > 1e-9 * span.max())
-    tied = [group for group in tied_channels(u) if len(group.channels) > 2]  # a pair is reported by its correlation
+    tied = [group for group in tied_channels(u) if len(group.channels) > 2]
     for group in tied:
         text = f"effects of one channel of a group alone (gain, play, friction): {group}"
         yield Word("channels", False, text, group.remedy, float(len(group.channels)))
-    if len(alive) > 1 and not tied:
-        r = np.abs(np.corrcoef(u[:, alive].T)) - np.eye(len(alive))
-        pair = np.unravel_index(int(np.argmax(r)), r.shape)
-        if r[pair] > TOGETHER:
-            one, two = alive[min(pair)], alive[max(pair)]
-            text = f"channel {one} vs. channel {two}: they move together (correlation {r[pair]:.2f})"
-            yield Word("channels", False, text, "move each channel alone, the others at rest", float(len(alive)))
-        elif not len(still):
-            text = f"one channel vs. another: all {len(alive)} move independently"
-            yield Word("channels", True, text)
+    pairs = _pairs(u, alive, {frozenset((a, b)) for group in tied for a in group.channels for b in group.channels})
+    for one, two, r in pairs:
+        text = f"channel {one} vs. channel {two}: they move together (correlation {r:.2f})"
+        yield Word("channels", False, text, "move each channel alone, the others at rest", float(len(alive)))
+    if len(alive) > 1 and not (tied or pairs or len(still)):
+        yield Word("channels", True, f"one channel vs. another: all {len(alive)} move independently")
     one_sided = [c for c in alive if u[:, c].min() > -0.05 * u[:, c].max() or u[:, c].max() < -0.05 * u[:, c].min()]
     if one_sided:
         named = ", ".join(map(str, one_sided))
         text = f"what the second tendon of a pair does: channel {named} is pulled to one side only"
         remedy = "pull to both sides of home (a single tendon has none: then leave it)"
         yield Word("sides", False, text, remedy, float(len(one_sided)))
+
+
+def _pairs(u: Floats, alive: NDArray[np.intp], grouped: set[frozenset[int]]) -> list[tuple[int, int, float]]:
+    """Return pairs of channels that move together and their correlation, without those of a group that is reported."""
+    if len(alive) < 2:
+        return []
+    r = np.abs(np.corrcoef(u[:, alive].T))
+    found = [
+        (int(alive[i]), int(alive[j]), float(r[i, j]))
+        for i, j in np.argwhere(np.triu(r, 1) > TOGETHER)
+        if frozenset((int(alive[i]), int(alive[j]))) not in grouped
+    ]
+    return sorted(found, key=lambda pair: (-round(pair[2], 2), pair[:2]))[:PAIRS]
 
 
 def _speed(u: Floats, state: Conditions) -> Word:

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from softmap_edge.diagnosis.conditions import Cell, cells, conditions
 from softmap_edge.diagnosis.findings import Bin
 from softmap_edge.diagnosis.floor import BOUND, commanded, memoryless_floor, noise_floor, rms
+from softmap_edge.diagnosis.lost import without_lost
 from softmap_edge.errors import ComparisonError
 from softmap_edge.run import Run, known
 from softmap_edge.views import members, roll_seen, without_roll
@@ -150,6 +151,7 @@ def compare(model: Model, run: Run) -> Comparison:
         ComparisonError: nothing is seen, or what is predicted cannot be compared with it.
         RunError: it is a run of another robot.
     """
+    run, _ = without_lost(run)
     predicted, seen, visible = aligned(model, run)
     squared = np.where(visible, np.sum((predicted - seen) ** 2, axis=2), 0.0)  # (K, N) mm²
     distance = np.sqrt(squared[visible])

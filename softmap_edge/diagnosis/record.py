@@ -21,6 +21,7 @@ from softmap_edge.diagnosis.layout import Layout, layout_of, ranges_of
 from softmap_edge.diagnosis.paired import Replay, pair
 from softmap_edge.diagnosis.spools import RADIUS, Spool, spool_of, with_radius
 from softmap_edge.errors import SoftmapError
+from softmap_edge.plane import unmeasured_parameters
 from softmap_edge.ticks import converted
 from softmap_edge.views import laid
 
@@ -163,7 +164,8 @@ class Record:
     @property
     def untold(self) -> tuple[str, ...]:
         """Parameters that are not fitted, because nothing seen here determines them or they are known."""
-        return (*(() if self.roll_seen else ROLLS), *(() if self.spool is None else (RADIUS,)))
+        rolls = () if self.roll_seen else ROLLS
+        return (*rolls, *unmeasured_parameters(self.run), *(() if self.spool is None else (RADIUS,)))
 
     @cached_property
     def spool(self) -> Spool | None:

@@ -1,5 +1,6 @@
 """Find frames and points of a run that are no measurement, and set them aside before a fit, each with a remark.
 
+    lost      a place that stands for "not seen" (`lost.py`): the point counts as not seen
     dark      a frame without a visible point
     late      a frame outside the record of the commands, or in a gap of it during which the commands move
     untaught  a frame whose commands are unlike all that the model was learned from
@@ -27,6 +28,7 @@ from softmap_edge import _core
 from softmap_edge.diagnosis.belongs import FOLLOWED, MOTION, belongs, declared, follows, spread, still
 from softmap_edge.diagnosis.conditions import conditions
 from softmap_edge.diagnosis.floor import noise_of_points
+from softmap_edge.diagnosis.lost import without_lost
 from softmap_edge.diagnosis.record import Record
 from softmap_edge.diagnosis.records import record_of
 from softmap_edge.diagnosis.remembered import catches_up, remembered
@@ -82,7 +84,7 @@ def sound(model: Model, run: Run) -> Sound:
     Raises:
         RunError: nothing is seen, too little is left, or the points are not those of this model under these commands.
     """
-    run = converted(model, run)
+    run, lost = without_lost(converted(model, run))
     if run.frames == 0:
         raise RunError("the run has no seen frames (K = 0); record what the cameras see together with the commands")
     seen = np.asarray(model.points_in_mm(run), float)
@@ -92,7 +94,7 @@ def sound(model: Model, run: Run) -> Sound:
             f"no point is visible in any of the {run.frames} frames; check `visible`, or the mapping of the markers"
         )
     u = model.commands(run)
-    remarks, keep = declared(model, run), np.ones(run.frames, bool)
+    remarks, keep = [*lost, *declared(model, run)], np.ones(run.frames, bool)
     remarks += _sigma(run)
     for frames, text in _frames(model, run, u, seen, visible):
         remarks.append(f"{int(frames.sum())} of {run.frames} frames {text}" if frames.any() else text)
@@ -137,7 +139,7 @@ def sound_record(
     parts = [sound(model, one) for one in given]
     several = reference if isinstance(reference, Sequence) else [] if reference is None else [reference]
     record = record_of(model, [p.run for p in parts], None, [sound(model, one).run for one in several] or None)
-    record.whole = tuple(given)
+    record.whole = tuple(without_lost(one)[0] for one in given)
     record.doubts = tuple(dict.fromkeys(text for p in parts for text in p.doubts))
     told = [(f"run {i}: " if len(parts) > 1 else "") + text for i, p in enumerate(parts, 1) for text in p.remarks]
     return record, told

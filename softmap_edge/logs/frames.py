@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -10,11 +11,14 @@ from numpy.typing import NDArray
 from softmap_edge.errors import RunError
 from softmap_edge.logs.held import LONGEST_HOLD, repeated_frames
 from softmap_edge.logs.mapping import FILE, LENGTH, Log, Mapping, Quantity
-from softmap_edge.logs.measured import Measured
+from softmap_edge.logs.measured import Column, Measured
+from softmap_edge.logs.not_seen import declared, not_seen
 from softmap_edge.logs.plausible import doubts_of_points
+from softmap_edge.logs.shifted import find_shifted
 from softmap_edge.logs.swaps import find_swaps, mend_swaps
-from softmap_edge.logs.table import LogTable
+from softmap_edge.logs.table import LogTable, place
 from softmap_edge.output import output_of
+from softmap_edge.plane import AXES, PLANE
 
 Array = NDArray[np.float64]
 _TOLD = 5  # swaps, and markers not seen, that are named one by one
@@ -22,9 +26,20 @@ _OF_FRAMES = ("markers", "visible", "block", "base_markers")
 
 
 def seen(
-    tables: list[LogTable], mapping: Mapping, fields: dict[str, Any], notes: list[str], doubts: list[str]
+    tables: list[LogTable],
+    mapping: Mapping,
+    t: Array | None,
+    fields: dict[str, Any],
+    notes: list[str],
+    doubts: list[str],
 ) -> Array | None:
     """Return the times of the frames; `fields` gets markers in the base frame, who was visible, and labels.
+
+    Args:
+        tables: the logs. mapping: what their columns are.
+        t: (T,) s, times of the commands in `fields`; None without commands.
+        fields: the fields of the run so far.
+        notes: gets what was done. doubts: gets what looks wrong.
 
     Raises:
         RunError: several logs hold markers, no frame shows one, or their unit cannot be right.
@@ -35,10 +50,17 @@ def seen(
     if len(owners) > 1:
         raise RunError(f"{mapping.path}: {len(owners)} logs hold what is seen; name the columns of one of them only")
     table, log = tables[owners[0]], mapping.logs[owners[0]]
+    commands = None if t is None else _commands_at(table.t, t, fields)
     if log.output is not None:
+        table = _without_lost(table, log.output, log.output.names, commands, 1, notes, doubts)
         return _outputs(table, log, log.output, fields, notes)
     assert log.markers is not None
-    given = np.isfinite(table.numbers(log.markers.columns)).reshape(len(table.t), -1, 3)
+    table = _without_lost(table, log.markers, log.markers.labels, commands, log.markers.axes, notes, doubts)
+    if log.base is not None:
+        named = tuple(f"base {b}" for b in range(len(log.base.columns) // log.base.axes))
+        table = _without_lost(table, log.base, named, commands, log.base.axes, notes, doubts)
+    table = _without_shifts(table, log.markers, doubts)
+    given = np.isfinite(table.numbers(log.markers.columns)).reshape(len(table.t), -1, log.markers.axes)
     shown = np.asarray(np.any(np.all(given, axis=2), axis=1))
     if not shown.any():
         raise RunError(f"{table.path}: no frame shows a marker; check the columns of `markers`")
@@ -61,12 +83,77 @@ def seen(
         remedy = 'look at them; markers.swaps = "mend" exchanges them back'
         doubts += _few([f"{swap}; {remedy}" for swap in swaps])
     fields["markers"] = mapping.to_base(points)
+    if log.markers.axes < 3:
+        axis = [k for k, _ in mapping.axes].index(2)
+        fields["markers"][..., axis] = 0.0
+        fields[PLANE] = np.array(AXES[axis])
+        notes.append(
+            f"markers in a plane: {AXES[axis]} of the base frame is not measured and counts as 0; nothing across the "
+            "plane is judged"
+        )
     fields["marker_labels"] = np.array(log.markers.labels)
     if log.base is not None:
         fields["base_markers"] = mapping.to_base(_points(table, log.base, doubts))
+        if PLANE in fields:
+            fields["base_markers"][..., AXES.index(str(fields[PLANE]))] = 0.0
     if log.block is not None:
         fields["block"] = table.texts()
     return table.t
+
+
+def _commands_at(t_seen: Array, t: Array, fields: dict[str, Any]) -> Array | None:
+    """Return the commands or ticks (K, C) at the times of the frames; None without."""
+    rows = next((np.asarray(fields[name], float) for name in ("command", "ticks") if name in fields), None)
+    if rows is None or not rows.shape[1] or len(rows) != len(t):
+        return None
+    return np.stack([np.interp(t_seen, t, column) for column in rows.T], axis=1)
+
+
+def _without_lost(
+    table: LogTable,
+    quantity: Quantity | Measured,
+    labels: tuple[str, ...],
+    commands: Array | None,
+    axes: int,
+    notes: list[str],
+    doubts: list[str],
+) -> LogTable:
+    """Return the table with NaN for places that stand for "not seen", and say which."""
+    if quantity.not_seen is None:
+        return table
+    points = table.numbers(quantity.columns).reshape(len(table.t), -1, axes)
+    given = declared(points, quantity.not_seen)
+    points[given.mask] = np.nan
+    lost = not_seen(points, commands)
+    points[lost.mask] = np.nan
+    what = "markers" if axes > 1 else "output"
+    notes += given.lines(labels, f"{what}.not_seen names them")
+    doubts += lost.lines(labels, f'{what}.not_seen = "keep" keeps them')
+    return table if not (given.mask | lost.mask).any() else _with_numbers(table, quantity.columns, points)
+
+
+def _without_shifts(table: LogTable, markers: Quantity, doubts: list[str]) -> LogTable:
+    """Return the table with NaN for columns that show another marker, or with the places in their own columns."""
+    if markers.not_seen is None:
+        return table
+    points = table.numbers(markers.columns).reshape(len(table.t), -1, markers.axes)
+    found = find_shifted(points)
+    if found is None:
+        return table
+    if markers.swaps == "mend":
+        doubts.append(found.line(markers.labels, "mended: each place is in the column of its marker"))
+        return _with_numbers(table, markers.columns, found.mended(points))
+    points[found.wrong] = np.nan
+    remedy = 'they are taken as not seen; markers.swaps = "mend" puts them into the columns of their markers'
+    doubts.append(found.line(markers.labels, remedy))
+    return _with_numbers(table, markers.columns, points)
+
+
+def _with_numbers(table: LogTable, columns: tuple[Column, ...], numbers: Array) -> LogTable:
+    """Return the table with other numbers (rows, ...) in some columns."""
+    flat = numbers.reshape(len(numbers), -1)
+    places = [place(table.path, table.names, column) for column in columns]
+    return replace(table, values={**table.values, **{at: flat[:, k] for k, at in enumerate(places)}})
 
 
 def _outputs(table: LogTable, log: Log, measured: Measured, fields: dict[str, Any], notes: list[str]) -> Array:
@@ -107,7 +194,9 @@ def _points(table: LogTable, quantity: Quantity, doubts: list[str]) -> Array:
     raw *= LENGTH[unit]
     raw *= quantity.scale
     raw += quantity.offset
-    points = raw.reshape(len(raw), -1, 3)
+    points = raw.reshape(len(raw), -1, quantity.axes)
+    if quantity.axes < 3:  # a plane: the third coordinate is not measured
+        points = np.concatenate([points, np.zeros((*points.shape[:2], 1))], axis=2)
     doubts += doubts_of_points(points, unit)
     return points
 

@@ -32,7 +32,9 @@ from softmap_edge.logs.guess_columns import (
 from softmap_edge.logs.guess_text import RATE_HZ, Found, mapping_text, seconds
 from softmap_edge.logs.importer import import_logs
 from softmap_edge.logs.mapping import ANGLE, LENGTH, parse_mapping
+from softmap_edge.logs.not_seen import not_seen
 from softmap_edge.logs.plausible import at_rest, axes_for, is_base, rest_axis
+from softmap_edge.logs.triples import LeftOut
 
 Array = NDArray[np.float64]
 
@@ -123,6 +125,7 @@ def _left_out(sheet: Sheet, time: str | None, found: Found) -> list[str]:
     """Name the columns that vary and are not taken, so that nobody believes that they are in the run."""
     used = {time, found.label} | {c for pair in found.others if pair[0] is sheet for c in pair[1].columns}
     used |= {c for pair in (found.command, found.present) if pair and pair[0] is sheet for c in pair[1].columns}
+    used |= {name for other, one in found.left if other is sheet for name in one.columns}
     if found.points is not None and found.points[0] is sheet:
         used |= {name for triple in [*found.points[1], *found.base] for name in triple}
     varies = [name for name in sheet.names if np.unique(sheet.column(name)[np.isfinite(sheet.column(name))]).size > 1]
@@ -144,8 +147,11 @@ def _range_of(sheet: Sheet) -> Any:
 
 # --- what is what --------------------------------------------------------------------------
 def _find_points(sheets: list[Sheet], found: Found) -> None:
-    best = max(((points_of(sheet), sheet) for sheet in sheets), key=lambda pair: len(pair[0]))
-    triples, sheet = best
+    each = [(points_of(sheet), sheet) for sheet in sheets]
+    found.left = [(sheet, one) for triples, sheet in each for one in triples.left]
+    found.unknown += [_no_place(sheet, one) for sheet, one in found.left]
+    best, sheet = max(each, key=lambda pair: (len(pair[0].places) and len(pair[0].places[0]), len(pair[0].places)))
+    triples = best.places
     if not triples:
         found.unknown.append("where the markers are: no columns named x, y, z of a place; nothing is seen in this run")
         return
@@ -154,11 +160,18 @@ def _find_points(sheets: list[Sheet], found: Found) -> None:
     if not triples:
         triples, found.base = found.base, []
     flat = [name for triple in triples for name in triple]
-    points = sheet.rows_of(flat).reshape(len(sheet.numbers), -1, 3)
+    points = _places(sheet, triples)
     named = unit_in_name(flat[0], LENGTH)
     unit, why = (named, f"their names say {named}") if named else length_unit(points, sheet.units.get(flat[0]))
     found.points = (sheet, triples, unit)
     found.assumed.append(f"markers: {len(triples)} of {_called(sheet)}, in the order of the columns, base first; {why}")
+    if len(triples[0]) == 2:
+        found.assumed.append(
+            "markers: they lie in a plane, for there is no z; the third coordinate counts as 0 and as not measured"
+        )
+    if best.by_size:
+        loose = ", ".join(one[0] for one in best.by_size[:4])
+        found.assumed.append(f"markers: {loose}{' …' * (len(best.by_size) > 4)} and what belongs to it, by size alone")
     if found.base:
         places = " ".join(f"b{k}:X,Y,Z" for k in range(len(found.base)))
         found.assumed.append(
@@ -170,8 +183,25 @@ def _find_points(sheets: list[Sheet], found: Found) -> None:
         found.assumed.append(f"blocks: '{found.label}' names the part of the protocol; folds are cut by it")
 
 
+def _places(sheet: Sheet, places: list[list[str]]) -> Array:
+    """Return markers (rows, M, 3) of columns, NaN where one was not seen; 0 as the third coordinate in a plane."""
+    flat = [name for one in places for name in one]
+    points = sheet.rows_of(flat).reshape(len(sheet.numbers), len(places), -1)
+    points[not_seen(points).mask] = np.nan
+    return np.concatenate([points, np.zeros((*points.shape[:2], 3 - points.shape[2]))], axis=2)
+
+
+def _no_place(sheet: Sheet, one: LeftOut) -> str:
+    return (
+        f"what {', '.join(one.columns)} of {_called(sheet)} are: they look like {one.why}, and are left out; name them "
+        "in `markers` if they are a place"
+    )
+
+
 def _find_drives(sheets: list[Sheet], found: Found) -> None:
     spent = {id(sheet): {found.times[k][0] or ""} for k, sheet in enumerate(sheets)}
+    for other, left in found.left:
+        spent[id(other)] |= set(left.columns)
     if found.points is not None:
         sheet, triples, _ = found.points
         spent[id(sheet)] |= {name for triple in [*triples, *found.base] for name in triple} | {found.label or ""}
@@ -209,22 +239,24 @@ def _drive_units(found: Found) -> None:
     """The units of commands and encoders; where only one is sure and both move alike, it is that of both."""
     assert found.command is not None
     drives = [("commands", found.command)] + ([] if found.present is None else [("encoders", found.present)])
-    answers = [drive_unit(sheet.rows_of(role.columns), role.unit) for _, (sheet, role) in drives]
+    answers = [drive_unit(sheet.rows_of(role.columns), role.unit, role.joint) for _, (sheet, role) in drives]
+    moved = [float(np.median(_spread(sheet.rows_of(role.columns)))) for _, (sheet, role) in drives]
+    together = len(drives) == 2 and moved[0] > 0 and 0.5 < moved[1] / moved[0] < 1.5
     if len(answers) == 2 and answers[0][2] != answers[1][2]:
-        moved = [float(np.median(_spread(sheet.rows_of(role.columns)))) for _, (sheet, role) in drives]
         firm = 0 if answers[0][2] else 1
-        if moved[0] > 0 and 0.5 < moved[1] / moved[0] < 1.5:
+        if together:
             why = f"encoders move {moved[1] / moved[0]:.2f} times as far as commands, so the unit is the same"
             answers[1 - firm] = (answers[firm][0], why, True)
     if len(answers) == 2 and not _alike(answers[0][0], answers[1][0]):
-        if answers[0][2] and answers[1][2]:
+        apart = any(role.joint for _, (_, role) in drives) and not together
+        if (answers[0][2] and answers[1][2]) or apart:
             found.present = None
             found.unknown.append(
                 f"the radius of the spools: encoders are in {answers[1][0]}, commands in {answers[0][0]}; the encoders "
                 "are left out, give them with spool_radius_mm"
             )
         else:
-            loose = 0 if answers[1][2] else 1
+            loose = 0 if answers[1][2] or drives[1][1][1].joint else 1
             answers[loose] = (answers[1 - loose][0], f"as the {drives[1 - loose][0]}", False)
     for (kind, (_, role)), (unit, why, sure) in zip(drives, answers[: 2 if found.present else 1]):
         role.unit = unit
@@ -256,7 +288,7 @@ def _frame(sheets: list[Sheet], found: Found) -> list[str]:
     sheet, triples, unit = found.points
     names = [name for triple in [*triples, *found.base] for name in triple]
     stated = sheet.units.get(names[0]) or "mm"
-    points = sheet.rows_of(names).reshape(len(sheet.numbers), -1, 3) * LENGTH[stated if unit == "file" else unit]
+    points = _places(sheet, [*triples, *found.base]) * LENGTH[stated if unit == "file" else unit]
     rest = _rest(sheets, found, sheet, points)
     base = rest[len(triples) :].mean(axis=0) if found.base else None
     body = rest[: len(triples)]
@@ -279,9 +311,10 @@ def _frame(sheets: list[Sheet], found: Found) -> list[str]:
         origin, why = np.zeros(3), "the origin of the log, for the marker at rest lies on its axis"
     else:
         origin, why = np.zeros(3), "the origin of the log, for want of anything better"
+    or_find = ", or let `softmap align` find it" if len(names) == 3 * (len(triples) + len(found.base)) else ""
     found.unknown.append(
-        f"where the clamp is: {why} is taken; measure it, or let `softmap align` find it; and how the robot is "
-        "mounted: gravity is not declared"
+        f"where the clamp is: {why} is taken; measure it{or_find}; and how the robot is mounted: gravity is not "
+        "declared"
     )
     axes = ", ".join(f'"{axis}"' for axis in axes_for(k, sign))
     place = ", ".join(f"{x:.1f}" for x in origin + 0.0)

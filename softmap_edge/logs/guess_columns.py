@@ -7,7 +7,8 @@ Only the rules that a laboratory's habits give: `x1, y1, z1` are a point; `u3`, 
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from collections import Counter
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -16,24 +17,26 @@ from numpy.typing import NDArray
 from softmap_edge.errors import RunError
 from softmap_edge.logs.mapping import LENGTH, TIME, UNITS
 from softmap_edge.logs.plausible import ROBOT
+from softmap_edge.logs.readers.columns import HeldColumns
 from softmap_edge.logs.readers.mcap_file import open_mcap, topics
 from softmap_edge.logs.readers.text import TextColumns
 from softmap_edge.logs.table import LARGEST, open_log
+from softmap_edge.logs.triples import Triples, find_pairs, find_triples
 
 Array = NDArray[np.float64]
 ROWS = 20_000  # of each log that are looked at
 MOST_COLUMNS = 4096  # of each log: names are compared by pairs
 _COUNTERS = re.compile(r"^(id|frame#?|index|idx|sample|row|count(er)?|nr|no|n|#|)$", re.IGNORECASE)
 _TIMES = re.compile(r"^t$|time|stamp|clock|^sec|^t_|_t$", re.IGNORECASE)
+_JOINTS = re.compile(r"joint_?states?", re.IGNORECASE)  # a topic, a column or a type of message
 _LABELS = re.compile(r"block|label|segment|trial|phase|pattern|part|condition|experiment", re.IGNORECASE)
-_NO_POINT = re.compile(r"rot|orient|quat|vel|acc|gyr|force|torque|imu|mag|twist|unlabel", re.IGNORECASE)
 # Roles of groups of columns, the surest words first; each is tried on the name, and on the topic of a recording.
 ROLES: tuple[tuple[str, str], ...] = (
     ("current", r"current|(^|_)cur(_|#|$)|amp|_ma$"),
     ("temperature", r"temp|celsius"),
     ("load", r"(^|_)(load|mass|weight|payload)(_|$)"),
     ("present", r"present|actual|meas|enc|feedback|(^|_)fb|phi#|joint_?state|theta#|^q#|read"),
-    ("command", r"^u_?#|cmd|command|goal|target|set_?point|desired|_des|_ref|action|input|control"),
+    ("command", r"^u(_[a-z]{1,2})?_?#|cmd|command|goal|target|set_?point|desired|_des|_ref|action|input|control"),
     ("command", r"servo|tendon|motor|cable|actuat|pull"),
     ("present", r"^pos|position|angle|joint|state"),
 )
@@ -54,6 +57,8 @@ class Sheet:
     numbers: Array  # (rows, names); NaN in a column of text
     texts: dict[str, list[str]]
     header: bool = True
+    bare: list[str] = field(default_factory=list)  # the names as they are in the file, where some may be the same
+    kind: str = ""  # the type of the messages of a topic
 
     def column(self, name: str) -> Array:
         """Return the numbers of a column."""
@@ -73,6 +78,7 @@ class Role:
     unit: str | None
     why: str
     sure: bool = True
+    joint: bool = False  # joint states of ROS: rad, or m for a joint that slides
 
 
 def read_sheets(paths: list[Path]) -> list[Sheet]:
@@ -95,7 +101,7 @@ def read_sheets(paths: list[Path]) -> list[Sheet]:
                 if topic.readable:
                     held = open_mcap(path, topic.name, ROWS)
                     numbers = np.where(np.abs(held.numbers) < LARGEST, held.numbers, np.nan)
-                    sheets.append(Sheet(path, topic.name, held.names, {}, numbers, {}))
+                    sheets.append(Sheet(path, topic.name, held.names, {}, numbers, {}, kind=topic.type))
             continue
         if len(columns.names) > MOST_COLUMNS:
             raise RunError(
@@ -103,6 +109,9 @@ def read_sheets(paths: list[Path]) -> list[Sheet]:
                 "in a mapping by hand: docs/mapping.md lists its keys"
             )
         texts: dict[str, list[str]] = {}
+        bare = columns.names
+        if isinstance(columns, TextColumns | HeldColumns):
+            columns = replace(columns, names=_unique(bare))
         if isinstance(columns, TextColumns):
             texts = columns.texts(200)
         places = [k for k, name in enumerate(columns.names) if name not in texts]
@@ -110,8 +119,14 @@ def read_sheets(paths: list[Path]) -> list[Sheet]:
         numbers = np.full((len(cells), len(columns.names)), np.nan)
         numbers[:, places] = np.where(np.abs(cells) < LARGEST, cells, np.nan)
         header = not isinstance(columns, TextColumns) or columns.header
-        sheets.append(Sheet(path, None, columns.names, dict(columns.units), numbers, texts, header))
+        sheets.append(Sheet(path, None, columns.names, dict(columns.units), numbers, texts, header, bare))
     return sheets
+
+
+def _unique(names: list[str]) -> list[str]:
+    """Return names of which each is there once: those that are there several times get the number of their column."""
+    count = Counter(names)
+    return [f"{name} (column {k})" if count[name] > 1 else name for k, name in enumerate(names)]
 
 
 # --- time ----------------------------------------------------------------------------------
@@ -173,28 +188,24 @@ def unit_in_name(name: str, known: dict[str, float] | dict[str, str]) -> str | N
 
 
 # --- points --------------------------------------------------------------------------------
-def points_of(sheet: Sheet) -> list[list[str]]:
-    """Return the triples of columns that are x, y, z of a place, in the file's order."""
-    found: list[list[str]] = []
-    used: set[str] = set()
-    for name in sheet.names:
-        if name in used or name in sheet.texts or _NO_POINT.search(name):
-            continue
-        for at in [k for k in range(len(name) - 1, -1, -1) if name[k] in "xX"]:
-            upper = name[at] == "X"
-            triple = [name[:at] + (axis.upper() if upper else axis) + name[at + 1 :] for axis in "xyz"]
-            fourth = name[:at] + ("W" if upper else "w") + name[at + 1 :]
-            if all(n in sheet.names and n not in sheet.texts for n in triple) and fourth not in sheet.names:
-                if np.isfinite(sheet.rows_of(triple)).all(axis=1).any():
-                    found.append(triple)
-                    used |= set(triple)
-                break
-    stems = {triple[0].lower() for triple in found}
-    if stems & {"x", "px"}:  # beside a place there are rates and forces: fx, vx, wx
-        found = [triple for triple in found if not re.fullmatch(r"[afgmqtvw]x", triple[0].lower())]
-    bodies = [triple for triple in found if triple[0].replace(".x", ".rotation.x") in sheet.names]
-    others = [triple for triple in found if triple not in bodies]
-    return bodies if len(bodies) > 1 else others or bodies
+def points_of(sheet: Sheet) -> Triples:
+    """Return the triples of columns that are x, y, z of a place, in the file's order, and those that are not."""
+    keep = [k for k, name in enumerate(sheet.names) if name not in sheet.texts]
+    names, bare = [sheet.names[k] for k in keep], [(sheet.bare or sheet.names)[k] for k in keep]
+    found = find_triples(names, bare, sheet.rows_of, lambda name: sheet.units.get(name) in LENGTH)
+    bodies = [one for one in found.places if _turns(sheet, one[0])]
+    if len(bodies) > 1:  # markers of a rigid body repeat what the body says
+        return Triples(bodies, found.left)
+    others = [one for one in found.places if one not in bodies]
+    if found.places:
+        return Triples(others or bodies, found.left, found.by_size)
+    plane = find_pairs(names, bare, sheet.rows_of)
+    return Triples(plane.places, [*found.left, *plane.left], plane.by_size)
+
+
+def _turns(sheet: Sheet, name: str) -> bool:
+    """Whether a place has a rotation: it is that of a rigid body of a motion capture."""
+    return ".x" in name and name.replace(".x", ".rotation.x") in sheet.names
 
 
 def length_unit(points: Array, stated: str | None) -> tuple[str, str]:
@@ -218,7 +229,7 @@ def roles_of(sheet: Sheet, spent: set[str]) -> list[Role]:
     groups: dict[str, list[str]] = {}
     for name in sheet.names:
         if name not in spent and name not in sheet.texts and np.isfinite(sheet.column(name)).any():
-            stem = re.sub(r"\[[^\]]*\]$", "[#]", name) if sheet.topic else name
+            stem = re.sub(r"\[[^\]]*\]$", "[#]", name) if sheet.topic else re.sub(r"[(\[{](\d+)[)\]}]$", r"\1", name)
             stem = re.sub(r"(^|_)([a-dx-z]|left|right|up|down)(?=_|$)", "_#", re.sub(r"\d+", "#", stem.lower()))
             groups.setdefault(stem, []).append(name)
     roles: list[tuple[int, Role]] = []
@@ -229,12 +240,13 @@ def roles_of(sheet: Sheet, spent: set[str]) -> list[Role]:
         where = [(bare, f"called '{names[0]}'" + ("" if len(names) == 1 else f" to '{names[-1]}'"))]
         if sheet.topic:
             where.insert(0, (sheet.topic.lower(), f"of topic {sheet.topic}"))
+        joint = _JOINTS.search(f"{sheet.topic or ''} {bare} {sheet.kind}") is not None
         for text, why in where:
             rank = next((k for k, (_, words) in enumerate(ROLES) if re.search(words, text)), None)
             if rank is not None:
                 kind = ROLES[rank][0]
                 unit = _UNIT.get((sheet.units.get(names[0]) or unit_in_name(names[0], _UNIT) or "").lower())
-                roles.append((rank, Role(kind, names, unit if unit in UNITS[kind] else None, why, sure=rank < 5)))
+                roles.append((rank, Role(kind, names, unit if unit in UNITS[kind] else None, why, rank < 5, joint)))
                 break
     roles.sort(key=lambda pair: pair[0])  # stable: neighbours in the file stay neighbours
     merged: list[tuple[int, Role]] = []
@@ -254,8 +266,8 @@ def _siblings(sheet: Sheet, one: Role, other: Role) -> bool:
     return alone and place == 1 and stems[0] == stems[1] != "" and one.unit == other.unit
 
 
-def drive_unit(rows: Array, stated: str | None) -> tuple[str, str, bool]:
-    """Return the unit of commands or encoders (T, C), why, and whether that is sure."""
+def drive_unit(rows: Array, stated: str | None, joint: bool = False) -> tuple[str, str, bool]:
+    """Return the unit of commands or encoders (T, C), why, and whether that is sure; `joint` are joint states."""
     if stated is not None:
         return stated, f"their name says {stated}", True
     known = rows[np.isfinite(rows)]
@@ -265,6 +277,8 @@ def drive_unit(rows: Array, stated: str | None) -> tuple[str, str, bool]:
         steps = (whole - whole[:1]) / tick  # whatever home is
         if len(steps) > 1 and np.abs(steps).max() > 10 and np.abs(steps - np.rint(steps)).max() < 0.02:
             return unit, f"they move in steps of {tick:.6g}, those of a 12-bit servo in {unit}", True
+    if joint:
+        return "rad", f"joint states are in rad by REP 103, or in m for joints that slide; they reach {peak:.3g}", False
     if (known == np.rint(known)).all() and peak > 360:
         return "ticks", f"they are whole numbers up to {peak:.0f}", False
     for limit, unit in ((0.2, "m"), (3.3, "rad"), (25.0, "mm"), (3600.0, "deg")):

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from softmap_edge.logs.guess_columns import Role, Sheet
 from softmap_edge.logs.mapping import ANGLE, SCHEMA, TIME
+from softmap_edge.logs.triples import LeftOut
 
 Array = NDArray[np.float64]
 RATE_HZ = 100  # of a counter, where nothing says better
@@ -29,6 +30,7 @@ class Found:
     others: list[tuple[Sheet, Role]] = field(default_factory=list)
     points: tuple[Sheet, list[list[str]], str] | None = None
     base: list[list[str]] = field(default_factory=list)  # markers on the clamp
+    left: list[tuple[Sheet, LeftOut]] = field(default_factory=list)  # columns in threes that are no place
     label: str | None = None
     times: dict[int, tuple[str | None, str]] = field(default_factory=dict)
 
@@ -86,8 +88,9 @@ def _time(sheet: Sheet, name: str | None, unit: str) -> str:
 
 def _cell(sheet: Sheet, name: str) -> str:
     """A column as the mapping names it: by number where there is no header, or where the name is there twice."""
-    if not sheet.header or sheet.names.count(name) > 1:
-        return str(sheet.names.index(name))
+    k = sheet.names.index(name)
+    if not sheet.header or (sheet.bare and sheet.bare.count(sheet.bare[k]) > 1):
+        return str(k)
     return json.dumps(name, ensure_ascii=False)
 
 

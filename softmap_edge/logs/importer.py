@@ -28,7 +28,8 @@ from softmap_edge.logs.held import unhold
 from softmap_edge.logs.mapping import ANGLE, LENGTH, Mapping, Quantity, read_mapping
 from softmap_edge.logs.plausible import doubts_of_both, doubts_of_rest, doubts_of_rows, doubts_of_time
 from softmap_edge.logs.table import LogTable, read_log
-from softmap_edge.run import SPOOL_RADIUS, Run
+from softmap_edge.plane import AXES, PLANE
+from softmap_edge.run import NOT_SEEN, SPOOL_RADIUS, Run
 
 __all__ = ["Imported", "Mapping", "import_logs", "read_mapping", "unhold"]
 
@@ -66,7 +67,7 @@ def import_logs(paths: Sequence[str | os.PathLike[str]], mapping: Mapping) -> Im
         doubts += [f"{path.name}: {doubt}" for path, table in zip(files, tables) for doubt in doubts_of_time(table.t)]
     t = _command_rows(tables, mapping, fields, notes, doubts)
     doubts += doubts_of_both(fields)
-    t_seen = seen(tables, mapping, fields, notes, doubts)
+    t_seen = seen(tables, mapping, t, fields, notes, doubts)
     if t is None and t_seen is None:
         raise RunError(f"{mapping.path}: names neither commands nor markers nor outputs; give at least one of them")
     t = t_seen if t is None else t
@@ -86,7 +87,8 @@ def import_logs(paths: Sequence[str | os.PathLike[str]], mapping: Mapping) -> Im
         notes.append(f"time counts from {zero:.6g} s of the log")
     _constants(files, mapping, fields, notes)
     made_from = [f"{path.name} sha256 {_sha256(path)}" for path in dict.fromkeys(files)]
-    extra = {name: fields.pop(name) for name in ("base_markers", "marker_labels") if name in fields} | _spool(mapping)
+    extra = {name: fields.pop(name) for name in ("base_markers", "marker_labels", PLANE) if name in fields}
+    extra |= _looked_for(mapping, fields) | _spool(mapping)
     try:
         run = Run(t=t, **fields, extra={"made_from": np.array(made_from)} | extra)
     except RunError as fault:
@@ -102,6 +104,14 @@ def _spool(mapping: Mapping) -> dict[str, Array]:
     radii = {one.spool_radius_mm for one in commands if one.unit in ANGLE and np.all(np.abs(one.scale) == 1.0)}
     known = mapping.command_unit == "mm" and len(radii) == len({one.unit for one in commands}) == 1
     return {SPOOL_RADIUS: np.array(radii.pop())} if known else {}
+
+
+def _looked_for(mapping: Mapping, fields: dict[str, Any]) -> dict[str, NDArray[Any]]:
+    """Return the word that places which stand for "not seen" were looked for, or that the mapping keeps them."""
+    if "markers" not in fields:
+        return {}
+    kept = any(seen is not None and seen.not_seen is None for log in mapping.logs for seen in (log.markers, log.output))
+    return {NOT_SEEN: np.array("keep" if kept else "checked")}
 
 
 def _timeless(mapping: Mapping, notes: list[str]) -> dict[str, Any]:
@@ -277,6 +287,8 @@ def _constants(files: list[Path], mapping: Mapping, fields: dict[str, Any], note
     fields |= {name: np.asarray(value) for name, value in mapping.constants.items()}
     if mapping.marker_rest_mm is not None:
         fields["marker_rest"] = mapping.to_base(mapping.marker_rest_mm)
+        if PLANE in fields:
+            fields["marker_rest"][:, AXES.index(str(fields[PLANE]))] = 0.0
     grams = next(
         (g for pattern, g in mapping.load_g if any(fnmatch.fnmatch(path.name, pattern) for path in files)),
         None,

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.errors import RunError, brief
-from softmap_edge.logs.measured import Column, Measured, columns_of, measured_of, per_column
+from softmap_edge.logs.measured import Column, Measured, columns_of, measured_of, not_seen_of, per_column
 from softmap_edge.toml_table import TomlTable, shown
 
 Array = NDArray[np.float64]
@@ -56,6 +56,8 @@ class Quantity:
     spool_radius_mm: float = 1.0
     labels: tuple[str, ...] = ()  # of markers
     swaps: str = "report"
+    not_seen: tuple[float, ...] | None = ()  # numbers that stand for "not seen"; None keeps all
+    axes: int = 3  # of a marker: 2 in a plane
 
 
 @dataclass(frozen=True)
@@ -282,6 +284,8 @@ def _log(table: TomlTable, command_unit: str) -> Log:
     table.done()
     if log.output is not None and (markers is not None or base is not None):
         raise RunError(f"{table.where}: output and markers: a run holds outputs or places; make two runs of them")
+    if markers is not None and base is not None and markers.axes != base.axes:
+        raise RunError(f"{table.where}: markers have {markers.axes} columns each, base {base.axes}; give both alike")
     if (log.block is not None or base is not None) and markers is None and log.output is None:
         what = "block labels belong" if base is None else "base markers belong"
         raise RunError(f"{table.where}: {what} to the log with the markers; move them there")
@@ -296,8 +300,13 @@ def _column(table: TomlTable, key: str) -> Column | None:
 def _quantity(log: TomlTable, name: str, command_unit: str) -> Quantity:
     table = log.table(name)
     listed, flat = table.values.get("columns", []), columns_of(table)
-    if name in POINTS and (len(flat) % 3 or any(isinstance(e, list) and len(e) != 3 for e in listed)):
-        raise RunError(f'{table.where}: {len(flat)} columns, expected x, y, z of each marker: [["x1", "y1", "z1"], …]')
+    sizes = {len(e) if isinstance(e, list) else 0 for e in listed} if isinstance(listed, list) else set()
+    axes = 2 if sizes == {2} else 3
+    if name in POINTS and (len(flat) % axes or not sizes <= {0, axes}):
+        raise RunError(
+            f'{table.where}: {len(flat)} columns, expected x, y, z of each marker: [["x1", "y1", "z1"], …], or x, y of '
+            'each in a plane: [["x1", "y1"], …]'
+        )
     if name in ("temperature", "load") and len(flat) != 1:
         raise RunError(f"{table.where}: {len(flat)} columns, expected one")
     own = command_unit if name in ("command", "present") else UNITS[name][0]
@@ -327,8 +336,10 @@ def _quantity(log: TomlTable, name: str, command_unit: str) -> Quantity:
         offset=per_column(table, "offset", len(flat), 0.0),
         held=table.choice("held", *_held(name)),
         spool_radius_mm=1.0 if radius is None else radius,
-        labels=_labels(table, name, flat),
+        labels=_labels(table, name, flat, axes),
         swaps=table.choice("swaps", ("report", "mend"), "report") if name == "markers" else "report",
+        not_seen=not_seen_of(table) if name in POINTS else (),
+        axes=axes if name in POINTS else 1,
     )
     table.done()
     return quantity
@@ -341,17 +352,17 @@ def _held(name: str) -> tuple[tuple[str, ...], str]:
     return ("auto", "keep", "unhold"), "auto" if name.startswith("present") else "keep"
 
 
-def _labels(table: TomlTable, name: str, columns: list[Column]) -> tuple[str, ...]:
-    """The names of the markers: as given, else what the names of their three columns begin with."""
+def _labels(table: TomlTable, name: str, columns: list[Column], axes: int) -> tuple[str, ...]:
+    """The names of the markers: as given, else what the names of their columns begin with."""
     if name != "markers":
         return ()
-    count = len(columns) // 3
+    count = len(columns) // axes
     given = table.get("labels", (list,))
     if given is not None:
         if len(given) != count or not all(isinstance(label, str) for label in given):
             raise RunError(f"{table.where}: labels = {shown(given)}, expected {count} texts, one for each marker")
         return tuple(given)
-    return tuple(_label([str(column) for column in columns[3 * k : 3 * k + 3]], k) for k in range(count))
+    return tuple(_label([str(column) for column in columns[axes * k : axes * (k + 1)]], k) for k in range(count))
 
 
 def _label(triple: list[str], k: int) -> str:
@@ -361,4 +372,5 @@ def _label(triple: list[str], k: int) -> str:
         shared = (cut[0][::-1] if turned else cut[0]).strip(" ._-:")
         if len(set(cut)) == 1 and shared:
             return f"marker {shared}" if shared.isdigit() else shared
-    return f"marker {k}"
+    counted = {re.sub(r"[\[({]\d+[\])}]$", "", name).strip() for name in triple}  # p(1), p(2), p(3)
+    return counted.pop() if len(counted) == 1 and not {""} & counted else f"marker {k}"

@@ -27,6 +27,7 @@ class Measured:
     unit: str
     scale: Array
     offset: Array
+    not_seen: tuple[float, ...] | None = ()  # numbers that stand for "not seen"; None keeps all
 
 
 def measured_of(log: TomlTable) -> Measured | None:
@@ -47,9 +48,22 @@ def measured_of(log: TomlTable) -> Measured | None:
         unit=unit,
         scale=per_column(table, "scale", len(columns), 1.0),
         offset=per_column(table, "offset", len(columns), 0.0),
+        not_seen=not_seen_of(table),
     )
     table.done()
     return measured
+
+
+def not_seen_of(table: TomlTable) -> tuple[float, ...] | None:
+    """Return the numbers that a mapping declares as not seen; None if it keeps every number."""
+    given = table.get("not_seen", (str, list), "auto")
+    if isinstance(given, str):
+        if given not in ("auto", "keep"):
+            raise RunError(f"{table.where}: not_seen = '{given[:60]}', expected auto, keep or a list of numbers")
+        return () if given == "auto" else None
+    numbers = table.numbers("not_seen", (None,))
+    assert numbers is not None
+    return tuple(float(x) for x in numbers)
 
 
 def columns_of(table: TomlTable) -> list[Any]:

@@ -20,9 +20,10 @@ from softmap_edge.logs.measured import Column
 from softmap_edge.logs.readers.columns import Array, Cells, Columns
 from softmap_edge.logs.readers.mcap_file import MAGIC
 from softmap_edge.logs.readers.mocap import is_motive, is_trc, open_motive, open_trc
-from softmap_edge.logs.readers.text import find_delimiter, open_text
+from softmap_edge.logs.readers.text import TextColumns, find_delimiter, open_text
 
 LARGEST = 1e20  # of any cell, whatever its unit: times in nanoseconds since 1970 are 2e18
+_TOLD = 6  # columns that are named
 _REGULAR = 0.2  # of the usual step: what a clock with jitter stays within
 
 
@@ -114,6 +115,9 @@ def read_log(path: Path, log: Log) -> LogTable:
     _all_there(path, names, [*wanted, *([] if log.block is None else [log.block])], log.delimiter)
     places = sorted({place(path, names, column) for column in wanted})
     cells = columns.read(places, None if log.block is None else place(path, names, log.block))
+    if log.clock.column is not None and isinstance(columns, TextColumns):
+        columns.refuse_words(place(path, names, log.clock.column))
+    cells = _finite(cells, places, names)
     _within_reason(path, columns.where, cells, places, names)
     clock = None if log.clock.column is None else places.index(place(path, names, log.clock.column))
     t, cells, notes = _clock(path, columns.where, cells, clock, log.clock)
@@ -150,9 +154,21 @@ def _all_there(path: Path, names: list[str], wanted: list[Column], delimiter: st
     raise RunError(f"{path}: no column {listed}; there are {', '.join(names)[:200]}{hint}; change the mapping")
 
 
+def _finite(cells: Cells, places: list[int], names: list[str]) -> Cells:
+    """Return the cells with infinite numbers as absent ones, and a note on them."""
+    count = np.isinf(cells.numbers).sum(axis=0)
+    if not count.any():
+        return cells
+    told = [f"{names[places[j]]} {count[j]}" for j in np.flatnonzero(count)[:_TOLD]]
+    more = f" and {int((count > 0).sum()) - _TOLD} more" if (count > 0).sum() > _TOLD else ""
+    note = f"infinite values of {len(cells.numbers)} rows are taken as missing: {', '.join(told)}{more}"
+    numbers = np.where(np.isinf(cells.numbers), np.nan, cells.numbers)
+    return replace(cells, numbers=numbers, notes=(*cells.notes, note))
+
+
 def _within_reason(path: Path, where: str, cells: Cells, places: list[int], names: list[str]) -> None:
     for j, column in enumerate(places):
-        wild = np.abs(cells.numbers[:, j]) > LARGEST  # infinity as well; NaN is an absent cell
+        wild = np.abs(cells.numbers[:, j]) > LARGEST  # NaN is an absent cell
         if wild.any():
             row = int(np.argmax(wild))
             raise RunError(

@@ -21,6 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 from softmap_edge import __version__, _core
 from softmap_edge.coverage import Coverage
 from softmap_edge.diagnosis.base_motion import kept_places
+from softmap_edge.diagnosis.lost import without_lost
 from softmap_edge.errors import RunError, SoftmapError
 from softmap_edge.folds import folds
 from softmap_edge.learned_in import LearnedIn
@@ -134,7 +135,8 @@ def learn(
     together = [runs] if isinstance(runs, Run) else list(runs)
     if not together:
         raise RunError("no run to learn from; give one or more")
-    seen = observe(together, input, hold_out, rate_hz)
+    cleared = [without_lost(run) for run in together]
+    seen = observe([run for run, _ in cleared], input, hold_out, rate_hz)
     if robot is None:
         fitted = fit_polynomial(seen, blocks, gap_s, base, degree, static, seed)
     elif base is not None or degree is not None:
@@ -147,16 +149,16 @@ def learn(
         "frames": len(seen.t), "rate_hz": rate_hz, "blocks": len(fitted.parts), "gap_s": gap_s,
         "hold_out_s": [list(map(float, pair)) for pair in hold_out], "static": static, **kept_places(together),
     }  # fmt: skip
-    return _learned(seen, fitted, made_from)
+    return _learned(seen, fitted, made_from, [line for _, lines in cleared for line in lines])
 
 
-def _learned(seen: Seen, fitted: Fitted, made_from: Mapping[str, Any]) -> LearnedRod:
+def _learned(seen: Seen, fitted: Fitted, made_from: Mapping[str, Any], lost: Sequence[str]) -> LearnedRod:
     """Put together what was fitted, how far off it is, and what to beware of."""
     residuals, memory = fitted.residuals, fitted.memory
     tested = residuals[np.isfinite(residuals).all(axis=(1, 2))]
     per_fold = [rms(residuals[test]) for _, test in fitted.parts]
     per_marker = [rms(tested[:, k]) for k in range(tested.shape[1])]
-    notes = (*_notes(seen, fitted, rms(tested)), *memory.notes)
+    notes = (*lost, *_notes(seen, fitted, rms(tested)), *memory.notes)
     more: dict[str, Any] = {
         "per_fold_mm": [round(error, 4) for error in per_fold],
         "per_marker_mm": [round(error, 4) for error in per_marker],
@@ -245,6 +247,7 @@ def _dependent(commands: Floats, unit: str) -> list[str]:
         weights = weights / weights[np.argmax(np.abs(weights))]
         used = np.flatnonzero(np.abs(weights) > ROUNDED)
         level = float((commands[:, moving[used]] @ weights[used]).mean())
+        level = 0.0 if abs(level) < ROUNDED * float(half[moving[used]].max()) else level
         terms = " ".join(_term(float(w), int(moving[c]) + 1) for c, w in zip(used, weights[used]))
         sums.append(f"{terms.removeprefix('+ ')} stays at {level:.3g} {unit}")
     return [

@@ -20,12 +20,12 @@ from numpy.typing import NDArray
 from softmap_edge.errors import RunError
 from softmap_edge.logs.mapping import ANGLE, LENGTH, TIME
 from softmap_edge.logs.readers.columns import Array, Cells
+from softmap_edge.logs.readers.words import EMPTY, Words, is_text, is_word
 
 LIMIT = 2**30  # bytes of one log: about 5 million rows of 16 columns
 LONGEST = 2**20  # characters of one line: 50 000 columns
 _BLOCK = 2**22  # characters read at a time
 _HEAD = 1000  # lines in which a header must be
-_ABSENT = {"", "nan", "na", "n/a", "null", "none", "-nan"}
 _COMMA_NUMBER = re.compile(r"[+-]?\d+(,\d+)?([eE][+-]?\d+)?")
 _DELIMITERS = (",", ";", "\t", "|")
 _OTHERS = ("", "-", "°", "°c", "degrees", "radians", "n", "ma", "a", "g", "kg")
@@ -46,6 +46,7 @@ class TextColumns:
     notes: tuple[str, ...] = ()
     where: str = "line"
     header: bool = True
+    words: Words = field(default_factory=Words)  # of the last reading
 
     def texts(self, rows: int) -> dict[str, list[str]]:
         """Return the columns that hold text in the first rows, with that text."""
@@ -53,7 +54,7 @@ class TextColumns:
         cells = [row for line in lines if len(row := split(line, self.delimiter)) == len(self.names)]
         found: dict[str, list[str]] = {}
         for name, column in zip(self.names, zip(*cells)):
-            if any(cell.lower() not in _ABSENT and not is_number(cell) for cell in column):
+            if is_text(column, is_number):
                 found[name] = list(column)
         return found
 
@@ -68,6 +69,7 @@ class TextColumns:
         labels: list[str] = []
         known: dict[str, str] = {}  # one object for each distinct label
         count = 0
+        self.words.found.clear()
         for first, block in _held_back(_blocks(self.path, self.first), self.skip_last):
             numbers = np.arange(first, first + len(block))
             if not all(map(str.strip, block)):
@@ -88,7 +90,26 @@ class TextColumns:
         at = np.concatenate(lines)
         blank = int(at[-1]) - self.first + 1 - count
         said = (*self.notes, *((f"{blank} blank lines were left out",) if blank else ()))
+        said += self._worded(count)
         return Cells(np.concatenate(parts), found, at, said)
+
+    def refuse_words(self, column: int) -> None:
+        """Raise RunError if a column that was read, such as the time, holds a word."""
+        for (other, word), (_, line) in self.words.found.items():
+            if other == column:
+                raise RunError(
+                    f"{self.path}: line {line}, column {self.names[column]}: '{word}' is not a number; correct or "
+                    "remove the line"
+                )
+
+    def _worded(self, rows: int) -> tuple[str, ...]:
+        """Return the sentence on words in columns of numbers; raise RunError where a column holds text."""
+        if (text := self.words.mostly(rows)) is not None:
+            raise RunError(
+                f"{self.path}: line {text[2]}, column {self.names[text[0]]}: '{text[1]}' is not a number; this column "
+                "holds text: leave it out of the mapping, or name it as `block`"
+            )
+        return tuple(self.words.line(self.names, rows))
 
     def _block(
         self, block: list[str], numbers: NDArray[np.int64], places: list[int], label: int | None
@@ -145,11 +166,14 @@ class TextColumns:
         return cells, labels
 
     def _number(self, cell: str, line: int, column: int) -> float:
-        if cell.lower() in _ABSENT:
+        if cell.lower() in EMPTY:
             return np.nan
         try:
             return float(cell.replace(",", ".") if self.decimal == "," else cell)
         except ValueError:
+            if is_word(cell):
+                self.words.take(cell, column, line)
+                return np.nan
             hint = '; set decimal = "," in the mapping' if "," in cell else ""
             raise RunError(
                 f"{self.path}: line {line}, column {self.names[column]}: '{cell[:40]}' is not a number{hint}"

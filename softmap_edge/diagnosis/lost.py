@@ -1,0 +1,60 @@
+"""Points of a run that stand for "not seen": in a run file of an older version, or one that a program wrote.
+
+`softmap import` sets such points aside and leaves the field `NOT_SEEN` in the run, so that they are not looked for
+again. Any other run is searched in the same way (`logs/not_seen.py`, `logs/shifted.py`).
+Pinned by tests/test_not_seen.py.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softmap_edge.diagnosis.floor import commanded
+from softmap_edge.logs.not_seen import not_seen
+from softmap_edge.logs.shifted import find_shifted
+from softmap_edge.run import NOT_SEEN, Run, known
+
+Mask = NDArray[np.bool_]
+
+REMEDY = "correct the log or `visible`, or import the log again"
+KEEP = f'a field `{NOT_SEEN}` with the text "keep" keeps them'
+
+
+def lost_points(run: Run, remedy: str = REMEDY) -> tuple[Mask, list[str]]:
+    """Find the points of a run that stand for "not seen".
+
+    Args:
+        run: of vertices, markers or outputs; with another kind of seen data nothing is found.
+        remedy: ends each sentence.
+
+    Returns:
+        tuple: which points (K, N), and a sentence for each place that stands for "not seen".
+    """
+    points = run.vertices if run.vertices is not None else run.markers
+    if points is None or not points.size or NOT_SEEN in run.extra:
+        return np.zeros((len(run.t_seen), 0 if points is None else points.shape[1]), bool), []
+    names = run.marker_names if run.markers is not None else [f"vertex {n}" for n in range(points.shape[1])]
+    visible = known(run, points)
+    raw = np.where(visible[..., None], points if run.output is None else run.outputs[..., None], np.nan)
+    rows = commanded(run)
+    u = np.stack([np.interp(run.t_seen, run.t, c) for c in rows.T], axis=1) if rows.shape[1] else None
+    lost = not_seen(raw, u)
+    mask, lines = lost.mask, lost.lines(names, remedy)
+    raw[mask] = np.nan
+    shifted = find_shifted(raw) if raw.shape[2] > 1 else None
+    if shifted is not None:
+        mask, lines = mask | shifted.wrong, [*lines, shifted.line(names, remedy)]
+    return mask, lines
+
+
+def without_lost(run: Run, remedy: str = KEEP) -> tuple[Run, list[str]]:
+    """Return a run in which these points are not visible, and the sentences; the run itself where there are none."""
+    mask, lines = lost_points(run, remedy)
+    if not mask.any():
+        return run, []
+    points = run.vertices if run.vertices is not None else run.markers
+    assert points is not None
+    return replace(run, visible=known(run, points) & ~mask), lines

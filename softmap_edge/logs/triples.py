@@ -1,0 +1,317 @@
+"""Find the triples of columns that are x, y, z of a place, and name those that are something else, with the reason.
+
+A triple is found by its names: `tip_x, tip_y, tip_z`, `x1, y1, z1`, `p_tip(1), p_tip(2), p_tip(3)`. Forces, angles and
+rates are triples too. Three things decide, in this order:
+
+    name    `force`, `rpy`, `omega`: no place. `tip`, `marker`, `position`, a column whose unit is a length: a place
+    values  a triple that never changes is an offset; one whose length stays 1 or 9.81 is a direction or gravity
+    size    any other name counts as a place only if it fits the places: near them, within a factor `FITS` of their
+            distance from the origin, and not within ±π, where angles and unit vectors are
+
+Triples whose names differ in digits only (`m1`, `m2`, `m3`) are judged together. In doubt a triple is left out.
+Pinned by tests/test_triples.py.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Rows = Callable[[list[str]], Array]
+
+FITS = 100.0  # times larger or smaller than the places: markers of one robot differ by less
+NEAR = 10.0  # times the extent of the places, and 0.9 of their distance from the origin: how far apart markers are
+LONGEST = 200  # characters of a name
+STEADY = 1e-3  # of its length, by which a triple of constant length varies
+DIRECTIONS = (1.0, 9.81)  # the length of a direction, and of gravity in m/s²
+
+_OTHER: tuple[tuple[str, str], ...] = (
+    ("a force or torque", r"force|torque|moment|wrench|load|press|strain|stress|tension|tof|tau|curr|volt|effort"),
+    (
+        "angles",
+        r"rot|orient|quat|rpy|ypr|roll|pitch|yaw|eul|ang|theta|phi|psi|heading|attitude|tilt|dir|ori|"
+        r"alpha|beta|gamma|curv|kappa|bend",
+    ),
+    ("rates", r"vel|speed|acc|gyr|omega|twist|jerk|rate|spin"),
+    ("a field or a constant", r"grav|mag|imu|field|norm|bias|offset|scale|gain|color|colour|rgb"),
+    ("an error or a spread", r"err|std|var|cov|sigma|resid|unc"),
+)
+_NAMELESS = re.compile("unlabel", re.IGNORECASE)
+_DRIVE = re.compile(
+    r"cmd|command|goal|desired|target|refer|_ref|set_?p|joint_?stat|servo|motor|enc|present|tendon", re.IGNORECASE
+)
+_PLACE = re.compile(
+    r"tip|end|eef|tcp|mark|mk|led|tag|point|pnt|pos|place|loc|trans|coord|body|bodies|rigid|base|clamp|frame|mount|"
+    r"node|vert|bead|dot|seg|sec|disk|disc|tool|hand|wrist|elbow|head|finger|joint|link|object|mocap|vicon|opti|"
+    r"aruco|april|cent|cam|robot|sensor|probe|ring|knot|xyz|track|feature|blob|ball|led|pose",
+    re.IGNORECASE,
+)
+_WORD = re.compile(r"[A-Z]?[a-z]+|[A-Z]+|[^\W\d_]+")
+_NUMBERED_OTHER = {"f", "g", "q", "w", "v"}  # F1, q2: one letter is no place, with a number or without
+_SHORT_OTHER = {*_NUMBERED_OTHER, "a", "b", "e", "i", "m", "n", "r"}  # without a number: m1 is a marker, M a torque
+_SHORT_PLACE = {"p", "m", "mk", "pt", "ee"}
+_INDEX = re.compile(r"^(.*[^\d,\s(\[{])?\s*([(\[{])\s*((?:\d+\s*,\s*)*)(\d+)\s*([)\]}])$")
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """Columns that come in threes, or a pair, and are not taken for a place."""
+
+    columns: tuple[str, ...]
+    why: str
+
+
+@dataclass(frozen=True)
+class Triples:
+    """What comes in threes in a log: the places, in the file's order, and what was left out."""
+
+    places: list[list[str]] = field(default_factory=list)
+    left: list[LeftOut] = field(default_factory=list)
+    by_size: list[list[str]] = field(default_factory=list)  # of the places, those whose names say nothing
+
+
+@dataclass(frozen=True)
+class _Candidate:
+    """A triple of columns, its name without axis and digits, and whether its name says that it is a place."""
+
+    columns: list[str]
+    stem: str
+    named: bool
+    other: str | None  # what its name says that it is
+    size: float  # distance from the origin, median
+    largest: float
+    steady: str | None  # what its values say that it is
+    middle: Array  # (3,) median place
+    extent: float  # of its places
+
+
+def find_triples(names: Sequence[str], bare: Sequence[str], rows: Rows, is_length: Callable[[str], bool]) -> Triples:
+    """Find the places among the columns of a log.
+
+    Args:
+        names: the columns of numbers, each name once.
+        bare: their names in the file, where a name may be there several times.
+        rows: gives the numbers (rows, n) of n columns.
+        is_length: whether the file states a length as the unit of a column.
+    """
+    found = list(_triples(list(names), list(bare), rows))
+    fours = [columns for columns, _ in found if len(columns) == 4]
+    turned = [LeftOut(tuple(four), "a quaternion") for four in fours if np.nanmax(np.nanstd(rows(four), axis=0)) > 0]
+    candidates = [_candidate(one, stem, rows, is_length) for one, stem in found if len(one) == 3]
+    accepted, left = _judged(_families(candidates))
+    order = {one.columns[0]: k for k, one in enumerate(candidates)}
+    places = sorted((one.columns for family in accepted for one in family), key=lambda columns: order[columns[0]])
+    loose = [one.columns for family in accepted for one in family if not one.named]
+    return Triples(places, [*sorted(left, key=lambda one: order[one.columns[0]]), *turned], loose)
+
+
+def _families(candidates: list[_Candidate]) -> list[list[_Candidate]]:
+    """Return the candidates in sets of which the names differ in digits only."""
+    families: dict[str, list[_Candidate]] = {}
+    for one in candidates:
+        families.setdefault(re.sub(r"\d+", "#", one.stem), []).append(one)
+    return list(families.values())
+
+
+def _judged(families: list[list[_Candidate]]) -> tuple[list[list[_Candidate]], list[LeftOut]]:
+    """Return the families of triples that are places, and the others with the reason."""
+    left: list[LeftOut] = []
+    standing: list[list[_Candidate]] = []
+    for family in families:
+        why = family[0].other
+        still = [one for one in family if one.steady is not None]
+        if why is None and len(still) == len(family) and not family[0].named:
+            why = still[0].steady
+        if why is None:
+            standing.append(family)
+        else:
+            left += [LeftOut(tuple(one.columns), why) for one in family]
+    named = [family for family in standing if family[0].named]
+    unnamed = [family for family in standing if not family[0].named]
+    if not named and unnamed:
+        named, unnamed = _by_size(unnamed)
+    known = _together([one for family in named for one in family]) if named else None
+    for family in unnamed:
+        assert known is not None  # without a name that says so, the largest set stands for the places
+        why = _misfit(_together(family), known)
+        if why is None:
+            named.append(family)
+        else:
+            left += [LeftOut(tuple(one.columns), why) for one in family]
+    return named, left
+
+
+def _by_size(families: list[list[_Candidate]]) -> tuple[list[list[_Candidate]], list[list[_Candidate]]]:
+    """Return the families that stand for the places where no name says so, and the others.
+
+    Those beyond ±π, and of them those nearest in size to the largest set; if all are within it, all: places in m.
+    """
+    sizes = [float(np.median([one.size for one in family])) for family in families]
+    beyond = [k for k, family in enumerate(families) if max(one.largest for one in family) > np.pi]
+    if not beyond:
+        return families, []
+    top = sizes[max(beyond, key=lambda k: len(families[k]))]
+    alike = [k for k in beyond if top / FITS < sizes[k] < top * FITS]
+    return [families[k] for k in alike], [family for k, family in enumerate(families) if k not in alike]
+
+
+@dataclass(frozen=True)
+class _Set:
+    """Several triples together: their size, largest number, middle (3,) and extent."""
+
+    size: float
+    largest: float
+    middle: Array
+    extent: float
+
+
+def _together(family: list[_Candidate]) -> _Set:
+    return _Set(
+        float(np.median([one.size for one in family])),
+        max(one.largest for one in family),
+        np.mean([one.middle for one in family], axis=0),
+        max(one.extent for one in family),
+    )
+
+
+def _misfit(family: _Set, known: _Set) -> str | None:
+    """Return why triples without a telling name are no places alongside the `known` places; None if they are."""
+    if family.largest <= np.pi:
+        return "angles, within ±π" if known.largest > np.pi else "angles or places in m, for they are within ±π"
+    if not known.size / FITS < family.size < known.size * FITS:
+        return f"no place: they are of size {family.size:.3g}, the places of size {known.size:.3g}"
+    apart = float(np.linalg.norm(family.middle - known.middle))
+    if apart > max(NEAR * known.extent, 0.9 * known.size):
+        return f"no place of this robot: they are {apart:.3g} away from the others"
+    return None
+
+
+def _candidate(columns: list[str], stem: str, rows: Rows, is_length: Callable[[str], bool]) -> _Candidate:
+    points = rows(columns)
+    points = points[np.isfinite(points).all(axis=1)]
+    length = np.linalg.norm(points, axis=1)
+    other, named = _by_name(stem)
+    if is_length(columns[0]) and not _NAMELESS.search(stem):
+        other, named = None, True
+    size = float(np.median(length))
+    largest = float(np.quantile(np.abs(points), 0.99))
+    extent = float(np.linalg.norm(np.quantile(points, 0.95, axis=0) - np.quantile(points, 0.05, axis=0)))
+    middle = np.median(points, axis=0)
+    return _Candidate(columns, stem, named, other, size, largest, _steady(points, length), middle, extent)
+
+
+def _steady(points: Array, length: Array) -> str | None:
+    """Return what points (n, 3) are that do not change, or whose distance (n,) from the origin does not."""
+    if len(points) < 3:
+        return None
+    if not np.ptp(points, axis=0).any():
+        return "an offset, for they never change"
+    middle = float(np.median(length))
+    usual = any(abs(middle - size) < 0.02 * size for size in DIRECTIONS)
+    if usual and float(np.quantile(np.abs(length - middle), 0.9)) < STEADY * middle:
+        return f"a direction or gravity, for their length is {middle:.4g} in all rows"
+    return None
+
+
+def _by_name(stem: str) -> tuple[str | None, bool]:
+    """Return what a name says that a triple is other than a place, and whether it says that it is a place."""
+    words = [word.lower() for word in _WORD.findall(stem)]
+    text = "_".join(words)
+    place = any(_PLACE.search(word) or word in _SHORT_PLACE for word in words) or not words
+    if _NAMELESS.search(stem):
+        return "a marker without a name", False
+    for what, pattern in _OTHER:
+        if any(re.match(pattern, word) for word in words) or (not place and re.search(pattern, text)):
+            return f"{what}, by the name", False
+    short = _NUMBERED_OTHER if re.search(r"\d", stem) else _SHORT_OTHER
+    if re.fullmatch(r"[\W_]*T[\W_]*", stem) or (words and all(word in short for word in words)):
+        return "a force, a rate or an angle, by the name of one letter", False
+    return None, place
+
+
+def find_pairs(names: Sequence[str], bare: Sequence[str], rows: Rows) -> Triples:
+    """Find x, y of markers in a plane, for a log without places in space; one of them at least has a place's name.
+
+    Args:
+        names, bare, rows: as of `find_triples`.
+    """
+
+    def padded(columns: list[str]) -> Array:
+        points = rows(columns)
+        return np.column_stack([points, np.zeros(len(points))])
+
+    pairs = list(_pairs(list(names), list(bare), rows))
+    families = _families([_candidate(one, stem, padded, lambda _: False) for one, stem in pairs])
+    accepted, left = _judged(families) if any(family[0].named for family in families) else ([], [])
+    order = {pair[0]: k for k, (pair, _) in enumerate(pairs)}
+    places = sorted((one.columns for family in accepted for one in family), key=lambda columns: order[columns[0]])
+    return Triples(places, left, [one.columns for family in accepted for one in family if not one.named])
+
+
+def _pairs(names: list[str], bare: list[str], rows: Rows) -> Iterator[tuple[list[str], str]]:
+    """Yield x, y without z that move, and what their names share."""
+    where = {name: k for k, name in enumerate(bare)}
+    for name in bare:
+        for at in _letters(name):
+            upper = name[at] == "X"
+            second, third = (name[:at] + (axis.upper() if upper else axis) + name[at + 1 :] for axis in "yz")
+            if second in where and third not in where and not _DRIVE.search(name):
+                columns = [names[where[one]] for one in (name, second)]
+                points = rows(columns)
+                points = points[np.isfinite(points).all(axis=1)]
+                if len(points) > 1 and np.ptp(points, axis=0).any():
+                    yield columns, name[:at] + " " + name[at + 1 :]
+                break
+
+
+# --- by name ---------------------------------------------------------------------------------
+def _triples(names: list[str], bare: list[str], rows: Rows) -> Iterator[tuple[list[str], str]]:
+    """Yield three columns and what their names share, for each triple that holds numbers."""
+    used: set[str] = set()
+    for triple, stem in [*_by_letter(names, bare), *_by_number(names, bare)]:
+        if used & set(triple) or _DRIVE.search(stem) or not np.isfinite(rows(triple)).all(axis=1).any():
+            continue
+        used |= set(triple)
+        yield triple, stem
+
+
+def _letters(name: str) -> list[int]:
+    """Return where a name has an x, the last first; nowhere in a name that no person writes."""
+    return [i for i in range(len(name) - 1, -1, -1) if name[i] in "xX"] if len(name) <= LONGEST else []
+
+
+def _by_letter(names: list[str], bare: list[str]) -> Iterator[tuple[list[str], str]]:
+    """Yield triples whose names differ in x, y, z. Of names that are there several times, the first of each, …"""
+    where: dict[str, list[int]] = {}
+    for k, name in enumerate(bare):
+        where.setdefault(name, []).append(k)
+    for k, name in enumerate(bare):
+        for at in _letters(name):
+            upper = name[at] == "X"
+            triple = [name[:at] + (axis.upper() if upper else axis) + name[at + 1 :] for axis in "xyz"]
+            fourth = name[:at] + ("W" if upper else "w") + name[at + 1 :]
+            nth = where[name].index(k)
+            four = [*triple, fourth] if fourth in where else triple
+            if all(len(where.get(one, [])) > nth for one in four):
+                yield [names[where[one][nth]] for one in four], name[:at] + " " + name[at + 1 :]
+                break
+
+
+def _by_number(names: list[str], bare: list[str]) -> Iterator[tuple[list[str], str]]:
+    """Yield triples of neighbours that count 1, 2, 3 or 0, 1, 2 in brackets, if their name says that it is a place."""
+    groups: dict[str, list[tuple[int, int]]] = {}
+    for k, name in enumerate(bare):
+        if len(name) <= LONGEST and (parts := _INDEX.match(name)) is not None and parts[1]:
+            groups.setdefault(f"{parts[1]}{parts[2]}{parts[3]}", []).append((int(parts[4]), k))
+    for stem, members in groups.items():
+        numbers, columns = [n for n, _ in members], [k for _, k in members]
+        even = numbers == list(range(numbers[0], numbers[0] + len(numbers))) and numbers[0] in (0, 1)
+        other, place = _by_name(stem)
+        if even and len(members) % 3 == 0 and place and other is None:
+            for i in range(0, len(members), 3):
+                yield [names[k] for k in columns[i : i + 3]], f"{stem}{i // 3 if len(members) > 3 else ''}"
