@@ -11,6 +11,13 @@ class RunError(SoftmapError):
     """A run file or one of its fields is not usable."""
 
 
+class RecordingWarning(SoftmapError, UserWarning):
+    """A recording is damaged or was cut short; what is sound of it is read.
+
+    `warnings.simplefilter("error", RecordingWarning)` refuses such recordings instead.
+    """
+
+
 class BundleError(SoftmapError):
     """A bundle folder is damaged, too new or not a bundle."""
 

@@ -28,6 +28,7 @@ from softmap_edge.logs.held import unhold
 from softmap_edge.logs.mapping import ANGLE, LENGTH, Mapping, Quantity, read_mapping
 from softmap_edge.logs.plausible import doubts_of_both, doubts_of_rest, doubts_of_rows, doubts_of_time
 from softmap_edge.logs.table import LogTable, read_log
+from softmap_edge.mcap_records import Damage
 from softmap_edge.run import SPOOL_RADIUS, Run
 
 __all__ = ["Imported", "Mapping", "import_logs", "read_mapping", "unhold"]
@@ -38,15 +39,16 @@ _TO_SI = {"g": 1.0, "kg": 1000.0, "N": 1000.0 / _core.STANDARD_GRAVITY, "mA": 1.
 
 @dataclass(frozen=True)
 class Imported:
-    """A run, what was done to make it, and what looks wrong in it; one sentence each."""
+    """A run, what was done to make it, what looks wrong in it, and what its logs lack; one sentence each."""
 
     run: Run
     notes: tuple[str, ...]
     doubts: tuple[str, ...] = ()
+    damage: tuple[str, ...] = ()
 
 
 def import_logs(paths: Sequence[str | os.PathLike[str]], mapping: Mapping) -> Imported:
-    """Read logs by a mapping.
+    """Read logs by a mapping; logs that are damaged or were cut give a `RecordingWarning` each.
 
     Args:
         paths: the logs; which is which the mapping tells by their names.
@@ -59,8 +61,9 @@ def import_logs(paths: Sequence[str | os.PathLike[str]], mapping: Mapping) -> Im
     doubts: list[str] = []
     files = _assign([Path(path) for path in paths], mapping)
     tables = [read_log(path, log) for path, log in zip(files, mapping.logs)]
+    damage = tuple(dict.fromkeys(note for table in tables for note in table.notes if isinstance(note, Damage)))
     for path, table in zip(files, tables):
-        notes += [f"{path.name}: {note}" for note in table.notes]
+        notes += [f"{path.name}: {note}" for note in table.notes if not isinstance(note, Damage)]
     fields: dict[str, Any] = _timeless(mapping, notes)
     if not fields:
         doubts += [f"{path.name}: {doubt}" for path, table in zip(files, tables) for doubt in doubts_of_time(table.t)]
@@ -93,7 +96,7 @@ def import_logs(paths: Sequence[str | os.PathLike[str]], mapping: Mapping) -> Im
         name = str(fault).split(":")[0]
         suspicion = next((doubt for doubt in doubts if f"{name}: " in doubt), None)  # what is wrong in the mapping
         raise RunError(f"{fault}; {suspicion}" if suspicion else str(fault)) from None
-    return Imported(run, tuple(notes), tuple(doubts))
+    return Imported(run, tuple(dict.fromkeys(notes)), tuple(doubts), damage)
 
 
 def _spool(mapping: Mapping) -> dict[str, Array]:
