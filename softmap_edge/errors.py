@@ -70,6 +70,10 @@ class ServoError(SoftmapError):
     """A servo or its port does not do what was asked."""
 
 
+class RecordingBroken(ServoError):
+    """A recording ended before the robot did, on a full disk perhaps; what was driven until then is kept."""
+
+
 class NoAnswer(ServoError):
     """A servo that was asked does not answer: it may not be there, or one packet was lost."""
 

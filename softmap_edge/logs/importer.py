@@ -30,6 +30,7 @@ from softmap_edge.logs.plausible import doubts_of_both, doubts_of_rest, doubts_o
 from softmap_edge.logs.table import LogTable, read_log
 from softmap_edge.mcap_records import Damage
 from softmap_edge.run import SPOOL_RADIUS, Run
+from softmap_edge.time_text import differing
 
 __all__ = ["Imported", "Mapping", "import_logs", "read_mapping", "unhold"]
 
@@ -86,7 +87,7 @@ def import_logs(paths: Sequence[str | os.PathLike[str]], mapping: Mapping) -> Im
         t = t - zero
         if t_seen is not None:
             fields["t_seen"] = t_seen - zero
-        notes.append(f"time counts from {zero:.6g} s of the log")
+        notes.append(f"time counts from {differing(zero, float(t[-1]) + zero)[0]} s of the log")
     _constants(files, mapping, fields, notes)
     made_from = [f"{path.name} sha256 {_sha256(path)}" for path in dict.fromkeys(files)]
     extra = {name: fields.pop(name) for name in ("base_markers", "marker_labels") if name in fields} | _spool(mapping)

@@ -31,11 +31,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from softmap_edge import __version__, _core
-from softmap_edge.errors import ServoError, SoftmapError
+from softmap_edge.errors import RecordingBroken, ServoError, SoftmapError
 from softmap_edge.motion.kinematics import Kinematics
 from softmap_edge.servo import words
 from softmap_edge.servo.bench_limits import check_bench
 from softmap_edge.servo.ending import kept_words, numbers, running
+from softmap_edge.servo.recording_end import broken_recording
 from softmap_edge.servo.rig import Rig
 from softmap_edge.servo.watched import FROZEN, Watched
 from softmap_edge.ticks import Calibration
@@ -58,7 +59,8 @@ class Controller(Watched):
     and that home was proved since they got power (`proof.py`), and goes to READY. With `commissioning` it goes to
     CONNECTED, home is not asked for, and small slow moves are all that is allowed (`jog.py`). Leaving slackens and
     switches torque off, whatever happened. With `record` all that the loop hears, decides and sends goes to that file,
-    which must not exist (`recording.py`); a disk that is full ends the recording and not the loop (`unrecorded`).
+    which must not exist (`recording.py`). A full disk ends the recording and not the loop: `unrecorded` says so
+    meanwhile, and leaving raises `RecordingBroken`.
 
     Raises:
         ServoError: a limit is missing or out of range, the loop cannot start, or a request is denied; the message says
@@ -91,6 +93,7 @@ class Controller(Watched):
         self.kinematics = kinematics
         self._commissioning = commissioning
         self._record = None if record is None else Path(record)
+        self._broken: str | None = None
         self._last: Report = {}
         self._end: Report = {}
         self._heard = threading.Condition()
@@ -122,13 +125,14 @@ class Controller(Watched):
         self, kind: type[BaseException] | None, fault: BaseException | None, trace: TracebackType | None
     ) -> None:
         ended, kept = self._close()
-        said = "; ".join(filter(None, (ended, kept)))
+        broken = None if self.unrecorded is None or self.unrecorded in str(fault) else self.unrecorded
+        said = "; ".join(filter(None, (ended, kept, broken)))
         if said and isinstance(fault, SoftmapError):
             raise ServoError(f"{fault}; {said}") from fault
         if said and fault is not None and not kept:
             fault.add_note(said)  # it goes on as what it is: no servo has torque
         elif said:
-            raise ServoError(said)
+            raise ServoError(said) if ended or kept else RecordingBroken(said)
 
     @property
     def recording(self) -> Path | None:
@@ -137,14 +141,17 @@ class Controller(Watched):
 
     @property
     def unrecorded(self) -> str | None:
-        """Why the recording ended before the loop did, a full disk perhaps; None while it goes on, or was whole."""
-        fault = self._last.get("unrecorded")
-        return None if fault is None else f"{self._record}: the recording broke off ({fault}); what it has is kept"
+        """Why the recording ended before the loop did, a full disk perhaps; None while it goes on, or is complete."""
+        if self._record is not None and self._broken is None:
+            ended = bool(self._end) and self._process is None
+            lost = int(self._end.get("lost", 0)) if ended else 0
+            self._broken = broken_recording(self._record, self._last.get("unrecorded"), lost, ended)
+        return self._broken
 
     def check_recorded(self) -> None:
-        """Raise ServoError where a recording ended before the loop did."""
+        """Raise RecordingBroken where a recording ended before the loop did."""
         if self.unrecorded is not None:
-            raise ServoError(self.unrecorded)
+            raise RecordingBroken(self.unrecorded)
 
     def request(self, name: str, seconds: float = 3.0) -> None:
         """Ask for `connect`, `arm`, `engage`, `hold`, `stop`, `acknowledge`, `disconnect` or `commission`.
@@ -241,9 +248,11 @@ class Controller(Watched):
         Raises:
             ServoError: a servo has not said that it has no torque, or a fault kept the finger from going home. One that
                 came before is told by whatever was called then.
+            RecordingBroken: the recording ended before the loop did.
         """
         if said := "; ".join(filter(None, self._close())):
             raise ServoError(said)
+        self.check_recorded()
 
     def _close(self) -> tuple[str, str]:
         """Return what kept the finger from going home, and what is to be said of servos that may have torque."""
