@@ -18,7 +18,7 @@ LOOP = "/loop"
 def system_words(fault: str) -> str:
     """Return the words of the operating system for a failed write, as the other messages have them."""
     words = re.sub(r" \(os error \d+\)$", "", fault.strip())
-    return words[:1].lower() + words[1:]
+    return words[:1].lower() + words[1:] if words[1:2].islower() else words
 
 
 def broken_recording(file: Path, fault: str | None, lost: int, ended: bool) -> str | None:
