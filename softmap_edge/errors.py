@@ -74,6 +74,10 @@ class RecordingBroken(ServoError):
     """A recording ended before the robot did, on a full disk perhaps; what was driven until then is kept."""
 
 
+class SessionWarning(UserWarning):
+    """The last session of a bench ended without shutting down: it was killed, or the computer stopped."""
+
+
 class NoAnswer(ServoError):
     """A servo that was asked does not answer: it may not be there, or one packet was lost."""
 

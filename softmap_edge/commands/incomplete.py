@@ -10,12 +10,12 @@ import warnings
 from collections.abc import Iterator
 from typing import TextIO
 
-from softmap_edge.errors import RecordingWarning
+from softmap_edge.errors import RecordingWarning, SessionWarning
 
 
 @contextlib.contextmanager
 def telling(verb: str) -> Iterator[set[str]]:
-    """Print each `RecordingWarning` as a line of `verb`; give the set of those printed."""
+    """Print each `RecordingWarning` as a line of `verb`, and give the set of them; print how a last session ended."""
     printed: set[str] = set()
     with warnings.catch_warnings():
         usual = warnings.showwarning
@@ -28,14 +28,16 @@ def telling(verb: str) -> Iterator[set[str]]:
             file: TextIO | None = None,
             line: str | None = None,
         ) -> None:
-            if not issubclass(category, RecordingWarning):
+            if not issubclass(category, RecordingWarning | SessionWarning):
                 usual(message, category, filename, lineno, file, line)
             elif (text := str(message)) not in printed:
                 from softmap_edge.commands.output import to_stderr  # loads numpy
 
-                printed.add(text)
                 to_stderr(f"softmap {verb}: {text}")
+                if issubclass(category, RecordingWarning):
+                    printed.add(text)
 
-        warnings.filterwarnings("always", category=RecordingWarning)
+        for category in (RecordingWarning, SessionWarning):
+            warnings.filterwarnings("always", category=category)
         warnings.showwarning = show
         yield printed

@@ -33,10 +33,9 @@ from numpy.typing import ArrayLike, NDArray
 from softmap_edge import __version__, _core
 from softmap_edge.errors import RecordingBroken, ServoError, SoftmapError
 from softmap_edge.motion.kinematics import Kinematics
-from softmap_edge.servo import words
+from softmap_edge.servo import session_mark, words
 from softmap_edge.servo.bench_limits import check_bench
 from softmap_edge.servo.ending import kept_words, numbers, running
-from softmap_edge.servo.recording_end import broken_recording
 from softmap_edge.servo.rig import Rig
 from softmap_edge.servo.watched import FROZEN, Watched
 from softmap_edge.ticks import Calibration
@@ -93,7 +92,6 @@ class Controller(Watched):
         self.kinematics = kinematics
         self._commissioning = commissioning
         self._record = None if record is None else Path(record)
-        self._broken: str | None = None
         self._last: Report = {}
         self._end: Report = {}
         self._heard = threading.Condition()
@@ -110,9 +108,11 @@ class Controller(Watched):
         self._silent = 0
 
     def __enter__(self) -> Self:
+        session_mark.report_last(self.rig.port)
         self._start()
         try:
             self._wait(lambda: None not in (self._last.get("position") or [None]), STARTS, "the servos say nothing")
+            self._mark = session_mark.begin(self.rig.port, self._record)
             self._wait_for_release()
             for request in ("connect",) if self._commissioning else ("connect", "home", "arm"):
                 self._reach(request)
@@ -133,25 +133,6 @@ class Controller(Watched):
             fault.add_note(said)  # it goes on as what it is: no servo has torque
         elif said:
             raise ServoError(said) if ended or kept else RecordingBroken(said)
-
-    @property
-    def recording(self) -> Path | None:
-        """The file that is recorded to; it can be read while it grows."""
-        return self._record
-
-    @property
-    def unrecorded(self) -> str | None:
-        """Why the recording ended before the loop did, a full disk perhaps; None while it goes on, or is complete."""
-        if self._record is not None and self._broken is None:
-            ended = bool(self._end) and self._process is None
-            lost = int(self._end.get("lost", 0)) if ended else 0
-            self._broken = broken_recording(self._record, self._last.get("unrecorded"), lost, ended)
-        return self._broken
-
-    def check_recorded(self) -> None:
-        """Raise RecordingBroken where a recording ended before the loop did."""
-        if self.unrecorded is not None:
-            raise RecordingBroken(self.unrecorded)
 
     def request(self, name: str, seconds: float = 3.0) -> None:
         """Ask for `connect`, `arm`, `engage`, `hold`, `stop`, `acknowledge`, `disconnect` or `commission`.
@@ -282,6 +263,7 @@ class Controller(Watched):
             self._reader.join(3.0)
             if process.returncode != 0 and "error" not in self._last:
                 self._rescue(process)
+            session_mark.end(self._mark)
         left = self._end.get("kept_torque") if self._drove else None
         return ended, str(self._last.get("kept") or (kept_words(left) if left else ""))
 
@@ -308,6 +290,7 @@ class Controller(Watched):
         if self._record is not None:
             about = {"schema": "softmap.setup/1", "softmap": __version__, "calibration": self.calibration.to_dict()}
             setup |= {"record": str(self._record.absolute()), "setup": json.dumps(about | setup)}
+        setup["session"] = session_mark.path_of(self.rig.port)
         # Its own session: a Ctrl-C in the terminal is for this side, which slackens and ends it in order.
         self._process = subprocess.Popen(
             [sys.executable, "-m", "softmap_edge.servo.loop", str(orders), str(reports)],
