@@ -52,7 +52,8 @@ class Closing:
         data_end: where the data section ends, bytes.
         data: whether the checksum of the data section matches; None if there is none.
         summary: the same of the summary.
-        counts: messages by channel id; None without sound statistics.
+        counts: messages by channel id; None where that is not stated.
+        total: messages; None without sound statistics.
         spans: first and last time (ns) of each chunk, by where it begins.
         defined: the schemas and channels of the summary (kind, bytes).
     """
@@ -61,6 +62,7 @@ class Closing:
     data: bool | None = None
     summary: bool | None = None
     counts: dict[int, int] | None = None
+    total: int | None = None
     spans: dict[int, tuple[int, int]] = field(default_factory=dict)
     defined: tuple[tuple[int, bytes], ...] = ()
 
@@ -128,13 +130,13 @@ def read_closing(file: BinaryIO, size: int) -> Closing | None:
 
 
 def _stated(closing: Closing, summary: bytes) -> Closing:
-    counts, spans, defined = None, {}, []
+    counts, total, spans, defined = None, None, {}, []
     try:
         for kind, body in split(summary):
             if kind == STATISTICS:
-                *_, length = _STATISTICS.unpack_from(body)
+                total, *_, length = _STATISTICS.unpack_from(body)
                 pairs = body[_STATISTICS.size : _STATISTICS.size + length]
-                counts = dict(struct.iter_unpack("<HQ", pairs))
+                counts = dict(struct.iter_unpack("<HQ", pairs)) or None
             elif kind == CHUNK_INDEX:
                 first, last, start = struct.unpack_from("<QQQ", body)
                 spans[start] = (first, last)
@@ -142,7 +144,7 @@ def _stated(closing: Closing, summary: bytes) -> Closing:
                 defined.append((kind, body))
     except (ValueError, struct.error):
         return Closing(closing.data_end, closing.data, False)
-    return Closing(closing.data_end, closing.data, closing.summary, counts, spans, tuple(defined))
+    return Closing(closing.data_end, closing.data, closing.summary, counts, total, spans, tuple(defined))
 
 
 def _data_section(file: BinaryIO, begins: int) -> tuple[int, bool | None]:

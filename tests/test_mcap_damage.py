@@ -221,6 +221,27 @@ def test_data_without_chunks_that_fail_their_checksum_are_refused(tmp_path):
         open_mcap(path, "/goal")
 
 
+@pytest.mark.parametrize("kept", [True, False])
+def test_statistics_without_counts_of_channels_are_no_fault(tmp_path, kept):
+    path = goals(tmp_path / "run.mcap")
+    data = bytearray(path.read_bytes())
+    start = struct.unpack("<Q", data[-28:-20])[0]
+    at, total = start, None
+    while data[at] != 0x0B:
+        at += 9 + int.from_bytes(data[at + 1 : at + 9], "little")
+    total = at + 9
+    assert int.from_bytes(data[total : total + 8], "little") == 300
+    data[total : total + 8] = struct.pack("<Q", 300 if kept else 301)
+    data[total + 42 : total + 46] = bytes(4)  # no counts
+    data[-12:-8] = struct.pack("<I", zlib.crc32(data[start:-12]))
+    path.write_bytes(data)
+    if kept:
+        assert open_mcap(path, "/goal").notes == ()
+        return
+    with pytest.warns(RecordingWarning, match="1 of 301 messages are missing"):
+        open_mcap(path, "/goal")
+
+
 @pytest.mark.parametrize("first", [8, None])
 def test_data_checksums_of_other_writers_are_known(tmp_path, first):
     """Some count from behind the magic bytes, or from behind the header."""

@@ -111,6 +111,15 @@ def test_each_command_reports_a_recording_that_is_cut_or_damaged(copied, damage,
         assert said.out, "what is sound is used"
 
 
+def test_what_was_seen_that_was_cut_is_reported(copied, capsys):
+    seen = seen_file(copied)
+    data = seen.read_bytes()
+    for cut in (data[: len(data) // 2], data[: len(data) // 2] + bytes(500)):
+        seen.write_bytes(cut)
+        assert main(["show", str(copied)]) == 1
+        assert "o.seen was cut short: its last line is torn" in capsys.readouterr().err
+
+
 def test_alone_nothing_was_seen(tracked, tmp_path, capsys):
     alone = tmp_path / "alone.mcap"
     shutil.copy(tracked, alone)

@@ -6,6 +6,7 @@ run gets both. Pinned by tests/test_recorded.py and tests/test_record_robot.py.
 
 from __future__ import annotations
 
+import os
 import shlex
 import warnings
 from collections.abc import Sequence
@@ -60,7 +61,17 @@ def open_incomplete(path: str | Path, model: Model | None = None) -> tuple[Run, 
             f"{told.incomplete}; copy it again, or take it as it is by `softmap replay {shlex.quote(str(file))} --run "
             "RUN.npz`"
         )
-    return run_of(told, model), told.incomplete
+    return run_of(told, model), told.incomplete or _torn(seen_file(file))
+
+
+def _torn(seen: Path) -> str | None:
+    """Return that the file of what was seen ends amid a line."""
+    if not seen.is_file() or not seen.stat().st_size:
+        return None
+    with open(seen, "rb") as stream:
+        stream.seek(-1, os.SEEK_END)
+        whole = stream.read(1) == b"\n"
+    return None if whole else f"{seen} was cut short: its last line is torn, and what was seen after it is missing"
 
 
 def run_of(told: Recording, model: Model | None = None) -> Run:

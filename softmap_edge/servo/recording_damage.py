@@ -78,7 +78,7 @@ def _head(file: Path, why: str, closing: Closing | None) -> str:
 
 def _missing(closing: Closing | None, messages: int, read: int) -> list[str]:
     """Return how many messages are missing, of those that the file states or that were found."""
-    stated = 0 if closing is None or closing.counts is None else sum(closing.counts.values())
+    stated = 0 if closing is None or closing.total is None else closing.total
     total = max(messages, stated)
     if total > read:
         return [f"{total - read} of {total} messages missing"]

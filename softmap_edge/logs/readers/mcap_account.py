@@ -101,11 +101,14 @@ class Account:
         return lines
 
     def _missing(self) -> list[str]:
-        stated = None if self.closing is None else self.closing.counts
-        if stated is not None:
-            missing = sum(max(0, count - self.counts[channel]) for channel, count in stated.items())
-            spare = sum(max(0, count - stated.get(channel, 0)) for channel, count in self.counts.items())
-            lines = [f"{missing} of {sum(stated.values())} messages are missing"] if missing else []
+        total = None if self.closing is None else self.closing.total
+        if self.closing is not None and total is not None:
+            read, stated = dict(self.counts), self.closing.counts
+            if stated is None:  # the number of all of them alone
+                read, stated = {0: self.counts.total()}, {0: total}
+            missing = sum(max(0, count - read.get(channel, 0)) for channel, count in stated.items())
+            spare = sum(max(0, count - stated.get(channel, 0)) for channel, count in read.items())
+            lines = [f"{missing} of {total} messages are missing"] if missing else []
             return lines + ([f"{spare} messages more than its index states"] if spare else [])
         if self.missing:
             return [f"at least {self.missing} of {self.missing + self.counts.total()} messages are missing"]

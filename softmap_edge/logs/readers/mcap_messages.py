@@ -128,7 +128,7 @@ class Messages:
             span = stated.get(record.start, (chunk.first, chunk.last))
             account.lost.append(Lost(record.start, record.end, brief(fault), span))
             return
-        account.unchecked += chunk.crc == 0
+        account.unchecked += chunk.crc == 0 and len(data) > 0
         for kind, body in items:
             yield from self._item(kind, body)
 
