@@ -48,7 +48,7 @@ def gone():
 
 def left(marks, **changes):
     """Leave the mark of a session at a port as one that was killed does; return its file."""
-    file = session_mark.begin("/dev/ttyTEST", Path("drive.mcap"))
+    file = session_mark.begin("/dev/ttyTEST", Path("drive.mcap"), gone())
     about = json.loads(file.read_text())
     file.write_text(json.dumps(about | {"pid": gone()} | changes) + "\n")
     return file
@@ -94,10 +94,11 @@ def test_a_loop_that_is_killed_is_reported_at_once_and_not_again(marks):
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
-        ({}, "its program and its control loop were killed, and the servos were left to their watchdogs"),
+        ({}, "its program was killed, and its control loop died before it released the servos"),
+        ({"loop_pid": 1}, "its control loop still runs: it releases the servos, or it is frozen"),
         ({"boot": "before"}, "the computer stopped or was restarted meanwhile"),
         ({"boot": "before", "pid": 1}, "the computer stopped or was restarted meanwhile"),
-        ({"program": "\x1b[2J\nx" + "y" * 500, "record": None}, "were killed"),
+        ({"program": "\x1b[2J\nx" + "y" * 500, "record": None}, "was killed"),
     ],
 )
 def test_how_it_ended_is_one_line(marks, changes, said):
@@ -121,7 +122,7 @@ def test_a_mark_that_is_damaged_stops_no_start(marks, text):
     file.unlink()
     file.mkdir()
     session_mark.report_last("/dev/ttyTEST")
-    session_mark.begin("/dev/ttyTEST", None)
+    session_mark.begin("/dev/ttyTEST", None, gone())
     session_mark.note_released(str(file))
 
 

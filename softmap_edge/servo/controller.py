@@ -112,7 +112,7 @@ class Controller(Watched):
         self._start()
         try:
             self._wait(lambda: None not in (self._last.get("position") or [None]), STARTS, "the servos say nothing")
-            self._mark = session_mark.begin(self.rig.port, self._record)
+            self._mark = session_mark.begin(self.rig.port, self._record, self._process.pid if self._process else 0)
             self._wait_for_release()
             for request in ("connect",) if self._commissioning else ("connect", "home", "arm"):
                 self._reach(request)

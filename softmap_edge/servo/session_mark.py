@@ -49,8 +49,8 @@ def report_last(port: str) -> None:
         warnings.warn(SessionWarning(said), stacklevel=3)
 
 
-def begin(port: str, record: Path | None) -> Path | None:
-    """Leave the mark of this session; return its file, None where there is none."""
+def begin(port: str, record: Path | None, loop: int) -> Path | None:
+    """Leave the mark of this session, whose control loop is the process `loop`; return its file, None without one."""
     file = mark_file(port)
     if file is None:
         return None
@@ -58,6 +58,7 @@ def begin(port: str, record: Path | None) -> Path | None:
         "port": port,
         "program": Path(sys.argv[0] or "python").name,
         "pid": os.getpid(),
+        "loop_pid": loop,
         "boot": _boot(),
         "begun": time.time(),
         "record": None if record is None else str(record.absolute()),
@@ -92,6 +93,7 @@ def last_session(file: Path) -> str | None:
         restarted = about["boot"] != _boot()
         if not restarted and _runs(int(about["pid"])):
             return None
+        loop_runs = not restarted and _runs(int(about["loop_pid"]))
         program, record = _printable(about["program"]), about["record"]
     except (OSError, ValueError, KeyError, TypeError, IndexError, AttributeError, OverflowError, RecursionError):
         return None
@@ -99,8 +101,10 @@ def last_session(file: Path) -> str | None:
         how = "the computer stopped or was restarted meanwhile"
     elif released:
         how = "its program was killed, and the control loop released the servos"
+    elif loop_runs:
+        how = "its program was killed, and its control loop still runs: it releases the servos, or it is frozen"
     else:
-        how = "its program and its control loop were killed, and the servos were left to their watchdogs"
+        how = "its program was killed, and its control loop died before it released the servos"
     kept = f"; `softmap replay {_printable(record)}` reads what it recorded" if record else ""
     return f"the last session of this bench ({program}, begun {begun}) ended without shutting down: {how}{kept}"
 
