@@ -5,6 +5,7 @@ import pytest
 from recordings import JOINT_STATE, TRANSFORMS, joint_state, transforms, write_mcap
 
 from softmap_edge.errors import RunError
+from softmap_edge.logs.guess import guess_mapping
 from softmap_edge.logs.importer import import_logs, read_mapping
 from softmap_edge.run import Run
 from softmap_edge.time_text import differing
@@ -56,6 +57,22 @@ def test_transforms_of_another_node_are_left_out(tmp_path):
         f'markers = {{ unit = "m", columns = [[{tip}]] }}\n'
     )
     assert import_logs([path], read_mapping(tmp_path / "map.toml")).run.frames == 60
+
+
+def test_a_proposed_mapping_takes_the_columns_of_one_publisher(tmp_path):
+    two_publishers(tmp_path, 0.15)
+    found = guess_mapping([tmp_path / "run.mcap"])
+    (tmp_path / "map.toml").write_text(found.text)
+    done = import_logs([tmp_path / "run.mcap"], read_mapping(tmp_path / "map.toml"))
+    assert done.run.channels == 2 and len(done.run.t) == 200, found.text
+
+
+def test_columns_of_two_publishers_are_no_command(tmp_path):
+    two_publishers(tmp_path, 0.01)
+    both = MAP.replace('"position[right]"', '"position[right]", "position[gripper_l]"').replace("REPEATED", "")
+    (tmp_path / "map.toml").write_text(both)
+    with pytest.raises(RunError, match="no row has all commands; name in `command` the columns of one publisher"):
+        import_logs([tmp_path / "run.mcap"], read_mapping(tmp_path / "map.toml"))
 
 
 CSV = """schema = "softmap.mapping/1"

@@ -166,7 +166,10 @@ def _command_rows(
         rows = np.hstack([tables[k].numbers(quantity.columns) for quantity in goals])
         given = np.asarray(np.isfinite(rows).all(axis=1))
         if not given.any():
-            raise RunError(f"{tables[k].path}: no row has all commands; check the columns of `command`")
+            raise RunError(
+                f"{tables[k].path}: no row has all commands; name in `command` the columns of one publisher, which "
+                "stand in one row"
+            )
         if not given.all():
             notes.append(f"{int((~given).sum())} of {len(given)} rows have no command and were left out")
         t = tables[k].t[given]
