@@ -14,6 +14,7 @@ from typing import TextIO, cast
 
 from softmap_edge import SoftmapError, __version__
 from softmap_edge.commands import ELSEWHERE, VERBS, Verb
+from softmap_edge.commands.incomplete import telling
 from softmap_edge.printable import PrintableStream, one_line
 
 DONE, FAULT, WRONG_USE = 0, 1, 2
@@ -75,10 +76,11 @@ def _run(verb: Verb, argv: list[str]) -> int:
     except SystemExit as stop:  # argparse has printed why
         return int(stop.code or 0)
     try:
-        code = int(getattr(module, function)(args))
+        with telling(verb.name) as incomplete:
+            code = int(getattr(module, function)(args))
         if sys.stdout is not None:  # closed by whoever started it
             sys.stdout.flush()  # a closed pipe is told here, not when the interpreter ends
-        return code
+        return code or (FAULT if incomplete else DONE)
     except BrokenPipeError:  # the reader, `head` perhaps, has seen enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return DONE

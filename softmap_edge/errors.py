@@ -11,6 +11,13 @@ class RunError(SoftmapError):
     """A run file or one of its fields is not usable."""
 
 
+class RecordingWarning(SoftmapError, UserWarning):
+    """A recording is damaged or was cut short; what is sound of it is read.
+
+    `warnings.simplefilter("error", RecordingWarning)` refuses such recordings instead.
+    """
+
+
 class BundleError(SoftmapError):
     """A bundle folder is damaged, too new or not a bundle."""
 
@@ -61,6 +68,14 @@ class NoEquilibriumError(SimulationError):
 
 class ServoError(SoftmapError):
     """A servo or its port does not do what was asked."""
+
+
+class RecordingBroken(ServoError):
+    """A recording ended before the robot did, on a full disk perhaps; what was driven until then is kept."""
+
+
+class SessionWarning(UserWarning):
+    """The last session of a bench ended without shutting down: it was killed, or the computer stopped."""
 
 
 class NoAnswer(ServoError):

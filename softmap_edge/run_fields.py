@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from softmap_edge.errors import RunError
 from softmap_edge.output import Output, output_of
+from softmap_edge.time_text import differing
 
 if TYPE_CHECKING:
     from softmap_edge.run import Run
@@ -255,8 +256,9 @@ def _times(name: str, t: NDArray[np.float64]) -> None:
         return
     row = int(np.flatnonzero(late)[0]) + 1
     what = "goes backwards" if step[row - 1] < 0 else "stands still"
+    now, before = differing(float(t[row]), float(t[row - 1]))
     raise RunError(
-        f"{name}: time {what} at row {row} ({t[row]:.6g} s after {t[row - 1]:.6g} s), "
+        f"{name}: time {what} at row {row} ({now} s after {before} s), "
         f"{int(late.sum())} such rows; "
         "sort the rows and drop repeated ones"
     )
@@ -327,10 +329,9 @@ def _units(run: Run) -> None:
                 "plausible; give ticks as `ticks`, or name the unit in `command_unit`"
             )
     if len(run.t) and len(run.t_seen) and (run.t_seen[-1] < run.t[0] or run.t_seen[0] > run.t[-1]):
+        first, last, begin, end = differing(*(float(t) for t in (*run.t_seen[[0, -1]], *run.t[[0, -1]])))
         raise RunError(
-            f"t_seen: {run.t_seen[0]:.6g} to {run.t_seen[-1]:.6g} s lies outside the commands' "
-            f"{run.t[0]:.6g} to "
-            f"{run.t[-1]:.6g} s; bring both to one clock"
+            f"t_seen: {first} to {last} s lies outside the commands' {begin} to {end} s; bring both to one clock"
         )
     if run.markers is not None and run.marker_rest is not None:
         hidden = None if run.visible is None else ~run.visible[..., None]

@@ -13,7 +13,7 @@ from softmap_edge.camera.frames import Frame
 from softmap_edge.cli import main
 from softmap_edge.commands.robot import plain_map
 from softmap_edge.diagnosis.document import Diagnosis
-from softmap_edge.errors import RunError
+from softmap_edge.errors import RecordingBroken, RunError
 from softmap_edge.experiment.kept import LATELY, Keeper, keeping, read_kept, seen_file
 from softmap_edge.experiment.recorded import open_run
 from softmap_edge.servo.recording import read_recording
@@ -93,6 +93,31 @@ def test_verbs_take_it_as_any_run(tracked, tmp_path, capsys):
     upper = tmp_path / "O.MCAP"
     shutil.copy(tracked, upper)
     assert main(["predict", str(upper), "--out", f"{out}.q.npz"]) == 0, "by any letters, with nothing seen"
+
+
+@pytest.mark.parametrize("damage", ["cut", "zeros", "broken"])
+def test_each_command_reports_a_recording_that_is_cut_or_damaged(copied, damage, capsys):
+    data = copied.read_bytes()
+    half = data.index(b'"overruns":', len(data) // 2)
+    tail = {"cut": b"", "zeros": bytes(65536), "broken": b"?" + data[half + 1 :]}[damage]
+    copied.write_bytes(data[:half] + tail)
+    for word in ("compare", "check", "show", "predict", "diagnose"):
+        assert main([word, str(copied)]) == 1, word
+        said = capsys.readouterr()
+        lines = [
+            line for line in said.err.splitlines() if "o.mcap was cut short" in line or "o.mcap is damaged" in line
+        ]
+        assert len(lines) == 1 and "; it is read up to " in lines[0], said.err
+        assert said.out, "what is sound is used"
+
+
+def test_what_was_seen_that_was_cut_is_reported(copied, capsys):
+    seen = seen_file(copied)
+    data = seen.read_bytes()
+    for cut in (data[: len(data) // 2], data[: len(data) // 2] + bytes(500)):
+        seen.write_bytes(cut)
+        assert main(["show", str(copied)]) == 1
+        assert "o.seen was cut short: its last line is torn" in capsys.readouterr().err
 
 
 def test_alone_nothing_was_seen(tracked, tmp_path, capsys):
@@ -223,7 +248,8 @@ def test_what_cannot_be_seen_any_more_is_a_fault_and_no_traceback(tmp_path, capf
     def gone():
         raise OSError("the camera is gone")
 
-    with keeping(tmp_path / "x.mcap", gone, MODEL) as keeper:
+    said = "the camera is gone: .*x.seen; what was seen until then is kept"
+    with pytest.raises(RecordingBroken, match=said), keeping(tmp_path / "x.mcap", gone, MODEL) as keeper:
         pass
     assert keeper.fault == "OSError: the camera is gone" and "Traceback" not in capfd.readouterr().err
     keeper.add([], [], [])

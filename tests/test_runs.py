@@ -85,7 +85,7 @@ def sound(**change):
             ["start: runs from 0 to 12", "P = 7"],
         ),
         (dict(markers=None), ["visible: given for each point", "no vertices or markers"]),
-        (dict(t_seen=fields()["t_seen"] + 1e6), ["t_seen: 1e+06", "outside the commands", "one clock"]),
+        (dict(t_seen=fields()["t_seen"] + 1e6), ["t_seen: 1000001 to 1000015 s", "outside the commands", "one clock"]),
         (dict(t=np.zeros(0), command=None, present=None, current=None, temperature=None, load=None), ["t: empty"]),
         (dict(command_unit=""), ["command_unit"]),
     ],

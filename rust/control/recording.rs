@@ -70,7 +70,7 @@ impl Recording {
             writer.flush()?;
             Ok((writer, channel))
         };
-        let (writer, channel) = begun().map_err(|fault| failed(path, &fault))?;
+        let (writer, channel) = begun().map_err(|fault| failed(path, &cause(&fault)))?;
         Ok(Recording {
             writer,
             file: again,
@@ -128,6 +128,7 @@ impl Reading {
     pub fn open(path: &Path) -> Result<Reading> {
         let options = LinearReaderOptions::default()
             .with_skip_end_magic(true)
+            .with_prevalidate_chunk_crcs(true)
             .with_validate_data_section_crc(true)
             .with_validate_summary_section_crc(true)
             .with_record_length_limit(LONGEST);
@@ -223,6 +224,14 @@ pub fn read(path: &Path) -> Result<Vec<Message>> {
     // What a cut of power leaves behind may be anything.
     let _ = reading.more(&mut found);
     Ok(found)
+}
+
+/// Why a write failed: the words of the operating system, which the writer's own error leaves out.
+pub fn cause(fault: &McapError) -> String {
+    match fault {
+        McapError::Io(cause) => cause.to_string(),
+        other => other.to_string(),
+    }
 }
 
 fn failed(path: &Path, fault: &dyn std::fmt::Display) -> crate::Error {

@@ -3,13 +3,13 @@
 //! `softmap.loop/1`: the state and why, of each servo goal, position, current, temperature and voltage; what was refused
 //! or denied at once; at the end how late periods began and how old commands were.
 
-use std::fmt::Display;
 use std::os::fd::OwnedFd;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
+use mcap::McapError;
 use rustix::fs::{OFlags, fcntl_getfl, fcntl_setfl};
 use rustix::io::{Errno, write};
 use serde::Serialize;
@@ -19,7 +19,7 @@ use softmap_servo::timing::{BINS, Timing};
 
 use super::Ended;
 use super::period::{Period, name};
-use super::recording::Recording;
+use super::recording::{Recording, cause};
 
 /// What the documents are.
 const SCHEMA: &str = "softmap.loop/1";
@@ -149,8 +149,8 @@ impl Reporter {
     }
 }
 
-fn unrecorded(fault: &impl Display) -> serde_json::Value {
-    json!({"schema": SCHEMA, "unrecorded": fault.to_string()})
+fn unrecorded(fault: &McapError) -> serde_json::Value {
+    json!({"schema": SCHEMA, "unrecorded": cause(fault)})
 }
 
 /// Write a line that fits into the pipe whole; false if there is no room for it now.
@@ -195,6 +195,18 @@ mod tests {
     use super::*;
     use rustix::io::read;
     use rustix::pipe::pipe;
+
+    #[test]
+    fn a_full_disk_is_named() {
+        let full = McapError::from(std::io::Error::from(Errno::NOSPC));
+        let said = unrecorded(&full);
+        assert!(
+            said["unrecorded"]
+                .as_str()
+                .unwrap()
+                .starts_with("No space left on device")
+        );
+    }
 
     #[test]
     fn whatever_is_told_is_one_line_of_json() {

@@ -9,6 +9,7 @@ import shlex
 import signal
 import sys
 import threading
+import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -22,7 +23,7 @@ from softmap_edge.commands.progress import Bar
 from softmap_edge.commands.robot import emulated, own_map, tell_edited
 from softmap_edge.commands.seeing import late, receiver
 from softmap_edge.emulated.finger import LATE
-from softmap_edge.errors import SoftmapError
+from softmap_edge.errors import RecordingWarning, SoftmapError
 from softmap_edge.experiment.command_file import read_commands
 from softmap_edge.experiment.kept import SEEN, Keeper, read_kept
 from softmap_edge.experiment.pace import Pace, pace
@@ -34,6 +35,7 @@ from softmap_edge.servo.bench import Bench, read_bench
 from softmap_edge.servo.controller import Controller
 from softmap_edge.servo.emergency_key import EmergencyKey
 from softmap_edge.servo.recording import read_recording
+from softmap_edge.servo.recording_damage import CUT
 
 INTERRUPTED = 130
 LOOP = ".loop.mcap"  # ends the name of the loop's recording beside the run, until that is written
@@ -114,12 +116,17 @@ def recover(args: argparse.Namespace) -> int:
     seen_file = Path(args.recover)
     file = Path(args.record) if args.record else seen_file.with_suffix(LOOP)
     played, told = read_kept(seen_file), read_recording(file)
+    if told.doubtful:
+        raise SoftmapError(f"{told.incomplete}; copy it again")
+    if told.incomplete is not None and told.short != CUT:
+        warnings.warn(RecordingWarning(told.incomplete), stacklevel=2)
     if not played.taken:
         raise SoftmapError(f"{seen_file}: no frame was taken before it was cut; record again")
     run = merged(file, model, pace(made, told.calibration, told.limits["servos"]), played)
     run.save(args.out)
     document = _document(args, run, made) | {"emulated": None, "whole": False, "recovered": args.recover}
     said = f"{run}\n{run.frames} of {made.frames} frames; written to {args.out}"
+    said += f"\n{told.incomplete}" if told.short == CUT else ""
     print(json.dumps(document, ensure_ascii=False) if args.json else said)
     return 0
 

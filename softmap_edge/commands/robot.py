@@ -105,5 +105,6 @@ def driving(robot: Controller, record: str | None = None) -> Iterator[None]:
         with EmergencyKey(robot, to_stderr), robot:
             yield
     except KeyboardInterrupt:
-        to_stderr("torque is off" + (f"; {record} keeps what was driven" if record else ""))
+        kept = f"{record} keeps what was driven" if record else ""
+        to_stderr("; ".join(filter(None, ["torque is off", robot.unrecorded or kept])))
         raise

@@ -17,7 +17,7 @@ from softmap_edge.elsewhere.summary import read_summary
 from softmap_edge.elsewhere.summary import sentences as sweep_sentences
 from softmap_edge.elsewhere.sweep_file import LIMIT, is_shape_sweep
 from softmap_edge.errors import RunError, SoftmapError, SweepError
-from softmap_edge.experiment.recorded import open_run
+from softmap_edge.experiment.recorded import open_incomplete, open_run
 from softmap_edge.logs.importer import import_logs, read_mapping
 from softmap_edge.manifest import load_manifest
 from softmap_edge.npz import read_npz
@@ -62,6 +62,7 @@ def import_(args: argparse.Namespace) -> int:
         "frames": run.frames,
         "notes": list(imported.notes),
         "doubts": list(imported.doubts),
+        "damage": list(imported.damage),
         "hash": run.hash(),
     }
     if args.json:
@@ -110,21 +111,23 @@ def check(args: argparse.Namespace) -> int:
     load_own(args)
     kind = "bundle" if path.is_dir() else "sweep" if is_shape_sweep(path) else "run"
     document: dict[str, Any] = {"schema": SCHEMA, "path": str(path), "kind": kind}
+    found: dict[str, Any] = {}
     try:
         found = _run(path, args.bundle) if kind == "run" else _bundle(path) if kind == "bundle" else read_summary(path)
-        lost = found.get("not_seen", [])
-        document |= {"sound": not lost, "fault": "; ".join(lost) or None} | found
+        faults = [*found.get("not_seen", []), *([found["fault"]] if found.get("fault") else [])]
+        document |= found | {"sound": not faults, "fault": "; ".join(faults) or None}
     except SoftmapError as fault:
         document |= {"sound": False, "fault": str(fault)}
     if args.json:
         print(json.dumps(document, ensure_ascii=False))
-    elif "not_seen" not in document and not document["sound"]:
+        return DONE if document["sound"] else FAULT
+    if document["fault"]:
         print(f"not sound: {document['fault']}", file=sys.stderr)
-    else:
+    if found:  # what can be read of it, also where a recording is damaged or was cut
         say = {"bundle": _bundle_lines, "sweep": sweep_sentences, "run": sentences}
         lines = say[document["kind"]](document)
         lines += effect_lines(document["effects"]) if args.bundle and document["kind"] == "run" else []
-        print("\n".join([f"{'sound    ' if document['sound'] else 'not sound'} {path}", *lines]))
+        print("\n".join([f"{'sound' if document['sound'] else 'not sound':<10}{path}", *lines]))
     return DONE if document["sound"] else FAULT
 
 
@@ -170,8 +173,8 @@ def _existing(path: str) -> Path:
 
 def _run(path: Path, bundle: str | None) -> dict[str, Any]:
     model = None if bundle is None else open_model(bundle)
-    run = open_run(path, model)
-    document = summary(run, model)
+    run, fault = open_incomplete(path, model)
+    document = summary(run, model) | {"fault": fault}
     if model is not None:
         from softmap_edge.diagnosis.diagnose import showing
 

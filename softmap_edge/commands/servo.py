@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import argparse
 import json
+import warnings
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from softmap_edge.commands.output import check_file, check_no_run, to_stderr
+from softmap_edge.commands.output import check_file, check_no_run
 from softmap_edge.commands.servo_calibrate import calibrate_bench, calibrate_bench_arguments
 from softmap_edge.commands.servo_emulate import emulate, emulate_arguments
 from softmap_edge.commands.servo_heartbeat import heartbeat, heartbeat_arguments
@@ -17,8 +18,8 @@ from softmap_edge.commands.servo_home import home, home_arguments
 from softmap_edge.commands.servo_limits import limits, limits_arguments
 from softmap_edge.commands.servo_pull import pull_arguments, pull_test
 from softmap_edge.commissioning import setup
-from softmap_edge.errors import ServoError
-from softmap_edge.experiment.recorded import open_run
+from softmap_edge.errors import RecordingWarning, ServoError
+from softmap_edge.experiment.recorded import run_of
 from softmap_edge.servo.bus import opened, ports, release
 from softmap_edge.servo.ending import kept_words
 from softmap_edge.servo.recording import read_recording
@@ -230,7 +231,7 @@ def replay(args: argparse.Namespace) -> int:
     recording = read_recording(args.recording)
     differ = recording.replay()
     if args.run:
-        open_run(args.recording).save(args.run)
+        run_of(recording).save(args.run)
     first, last = recording.periods[0], recording.periods[-1]
     seconds = (last["now"] - first["now"]) * 1e-9
     if args.json:
@@ -241,6 +242,6 @@ def replay(args: argparse.Namespace) -> int:
         print(f"{args.recording}: {len(recording.periods)} periods in {seconds:.1f} s, {said}")
         if args.run:
             print(f"{args.run}: written")
-    if recording.short:
-        to_stderr(f"softmap replay: {args.recording} is not whole: {recording.short}; these periods are what is there")
+    if recording.incomplete:
+        warnings.warn(RecordingWarning(recording.incomplete), stacklevel=2)
     return OTHERWISE if differ or recording.short else 0

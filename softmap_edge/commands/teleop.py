@@ -11,7 +11,7 @@ from typing import Any, get_args
 from softmap_edge.commands.output import to_stderr
 from softmap_edge.commands.own import load_own, open_model
 from softmap_edge.commands.robot import bench_of, check_driven, driven_arguments, driven_model
-from softmap_edge.errors import TeleopError
+from softmap_edge.errors import RecordingBroken, TeleopError
 from softmap_edge.motion.kinematics import Kinematics
 from softmap_edge.servo.controller import Controller
 from softmap_edge.signed_udp import dropped_words, new_key, read_key
@@ -101,6 +101,7 @@ def _drive(args: argparse.Namespace) -> int:
         model = driven_model(args, bench.model)
         kinematics = Kinematics(model, axes="xy" if args.tip else "xyz")
         aim: Aim = Tip(kinematics) if args.tip else Direct(kinematics)
+        stack.enter_context(contextlib.suppress(RecordingBroken))  # reported below, after the account
         robot = stack.enter_context(
             Controller(bench.rig, bench.calibration, bench.limits, kinematics=kinematics, record=args.record)
         )

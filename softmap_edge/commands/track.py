@@ -8,7 +8,7 @@ import json
 import shlex
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +27,7 @@ from softmap_edge.commands.robot import (
 from softmap_edge.commands.seeing import camera_arguments, late, receiver
 from softmap_edge.commands.track_table import table, workspace
 from softmap_edge.emulated.finger import LATE, SERVO
-from softmap_edge.errors import SoftmapError
+from softmap_edge.errors import RecordingBroken, SoftmapError
 from softmap_edge.experiment.kept import Keeper, keeping, seen_file
 from softmap_edge.motion.curves import FIGURES
 from softmap_edge.motion.kinematics import METHODS, Kinematics
@@ -106,7 +106,12 @@ def track(args: argparse.Namespace) -> int:
         if bench is not None:
             record = Path(args.record or Path(stack.enter_context(tempfile.TemporaryDirectory())) / "track.mcap")
             robot = Controller(bench.rig, calibration, bench.limits, kinematics=kinematics, record=record)
-            with driving(robot, args.record), _kept(args, seen, behind, bench) as kept, Bar(args.json) as bar:
+            with (
+                _shown_first(lambda: tracked),
+                driving(robot, args.record),
+                _kept(args, seen, behind, bench) as kept,
+                Bar(args.json) as bar,
+            ):
                 tracked = follow(robot, kinematics, planned, seen, observe=args.observe, late=behind, progress=bar)
     if args.picture:
         _draw(args.picture, kinematics, planned, tracked)
@@ -119,6 +124,16 @@ def track(args: argparse.Namespace) -> int:
     if kept is not None and kept.fault is not None:
         raise SoftmapError(f"{seen_file(args.record)}: what was seen is kept no more ({kept.fault}); see to that")
     return 0
+
+
+@contextlib.contextmanager
+def _shown_first(done: Callable[[], Tracked | None]) -> Iterator[None]:
+    """Put a recording that broke off aside where there is a result to print before it is reported."""
+    try:
+        yield
+    except RecordingBroken:
+        if done() is None:
+            raise
 
 
 @contextlib.contextmanager

@@ -24,7 +24,7 @@ from typing import Any, Self
 import numpy as np
 
 from softmap_edge.camera.frames import Frame, HostClock, Seen
-from softmap_edge.errors import RunError
+from softmap_edge.errors import RecordingBroken, RunError
 from softmap_edge.model import Model
 
 SEEN = ".seen"  # ends the name of such a file, beside what the loop recorded
@@ -122,7 +122,7 @@ class Keeper:
                 stream.flush()
                 os.fsync(stream.fileno())
             except OSError as fault:
-                self.fault = fault.strerror or str(fault)
+                self.fault = (fault.strerror or str(fault)).lower()
 
 
 @contextlib.contextmanager
@@ -134,6 +134,7 @@ def keeping(recording: str | Path, seen: Seen, model: Model, late: float = 0.0) 
 
     Raises:
         RunError: something is kept there already, or cannot be.
+        RecordingBroken: on leaving; it could be kept no more, on a full disk perhaps.
     """
     camera, end = HostClock(late), threading.Event()
     number = 0
@@ -160,6 +161,8 @@ def keeping(recording: str | Path, seen: Seen, model: Model, late: float = 0.0) 
         finally:
             end.set()
             watching.join()
+    if keeper.fault is not None:
+        raise RecordingBroken(f"{keeper.fault}: {seen_file(recording)}; what was seen until then is kept")
 
 
 def read_kept(file: Path) -> Kept:

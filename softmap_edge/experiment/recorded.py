@@ -6,6 +6,9 @@ run gets both. Pinned by tests/test_recorded.py and tests/test_record_robot.py.
 
 from __future__ import annotations
 
+import os
+import shlex
+import warnings
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -14,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.camera.frames import Frame, HostClock
-from softmap_edge.errors import RunError
+from softmap_edge.errors import RecordingWarning, RunError
 from softmap_edge.experiment.kept import read_kept, seen_file
 from softmap_edge.model import Model
 from softmap_edge.run import Run
@@ -26,18 +29,58 @@ RECORDING = ".mcap"
 def open_run(path: str | Path, model: Model | None = None) -> Run:
     """Return the run of a file: .npz, or what a control loop recorded (.mcap) with what was seen, if kept beside it.
 
+    A recording that was cut short, or is damaged at one place, is read up to there, and a `RecordingWarning` is given.
+
     Args:
+        path: the file.
         model: what the run is for. One without a calibration cannot read ticks: it gets mm, by the map that was driven
             with.
 
     Raises:
-        RunError: neither, damaged, torque was never on, nothing that was seen belongs to it, or it was made by
-            `softmap record`, which alone knows what was declared.
+        RunError: neither, damaged where nothing shows, torque was never on, nothing that was seen belongs to it, or it
+            was made by `softmap record`, which alone knows what was declared.
+    """
+    run, incomplete = open_incomplete(path, model)
+    if incomplete is not None:
+        warnings.warn(RecordingWarning(incomplete), stacklevel=2)
+    return run
+
+
+def open_incomplete(path: str | Path, model: Model | None = None) -> tuple[Run, str | None]:
+    """Return what `open_run` does, without a warning, and a sentence on what the file lacks; None if it is complete.
+
+    Raises:
+        RunError: as `open_run`.
     """
     file = Path(path)
     if file.suffix.lower() != RECORDING:
-        return Run.load(file)
-    told, beside = read_recording(file), seen_file(file)
+        return Run.load(file), None
+    told = read_recording(file)
+    if told.doubtful:
+        raise RunError(
+            f"{told.incomplete}; copy it again, or take it as it is by `softmap replay {shlex.quote(str(file))} --run "
+            "RUN.npz`"
+        )
+    return run_of(told, model), told.incomplete or _torn(seen_file(file))
+
+
+def _torn(seen: Path) -> str | None:
+    """Return that the file of what was seen ends amid a line."""
+    if not seen.is_file() or not seen.stat().st_size:
+        return None
+    with open(seen, "rb") as stream:
+        stream.seek(-1, os.SEEK_END)
+        whole = stream.read(1) == b"\n"
+    return None if whole else f"{seen} was cut short: its last line is torn, and what was seen after it is missing"
+
+
+def run_of(told: Recording, model: Model | None = None) -> Run:
+    """Return a recording as a run, with what was seen if that is kept beside it, whatever it lacks.
+
+    Raises:
+        RunError: as `open_run`, but for numbers that may be wrong.
+    """
+    beside = seen_file(told.file)
     run = _seen(told, beside) if beside.exists() else told.run()
     if model is None or model.calibration is not None or run.ticks is None:
         return run

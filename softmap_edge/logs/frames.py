@@ -19,6 +19,7 @@ from softmap_edge.logs.swaps import find_swaps, mend_swaps
 from softmap_edge.logs.table import LogTable, place
 from softmap_edge.output import output_of
 from softmap_edge.plane import AXES, PLANE
+from softmap_edge.time_text import differing
 
 Array = NDArray[np.float64]
 _TOLD = 5  # swaps, and markers not seen, that are named one by one
@@ -236,13 +237,15 @@ def choose_frames(t: Array, t_seen: Array, fields: dict[str, Any], mapping: Mapp
     slack = 1e-9 * max(1.0, abs(low), abs(high))
     keep = np.flatnonzero((t_seen >= low - slack) & (t_seen <= high + slack))
     if len(t_seen) and not len(keep):
+        first, last, begin, end = differing(float(t_seen[0]), float(t_seen[-1]), low, high)
         raise RunError(
-            f"{mapping.path}: the frames last from {t_seen[0]:.6g} to {t_seen[-1]:.6g} s, but only "
-            f"{low:.6g} to {high:.6g} s is commanded and asked for; give time.offset_s of one log"
+            f"{mapping.path}: the frames last from {first} to {last} s, but only {begin} to {end} s is commanded and "
+            "asked for; give time.offset_s of one log"
         )
     if len(keep) < len(t_seen):
         notes.append(
-            f"{len(t_seen) - len(keep)} of {len(t_seen)} frames lie outside {low:.6g} to {high:.6g} s and were dropped"
+            f"{len(t_seen) - len(keep)} of {len(t_seen)} frames lie outside {' to '.join(differing(low, high))} s and "
+            "were dropped"
         )
     if mapping.seen_rate_hz is not None and len(keep) > 1:
         # the first frame at or after each tick of the wished clock: even where the log's own clock jitters

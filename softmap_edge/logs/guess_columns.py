@@ -233,7 +233,7 @@ def roles_of(sheet: Sheet, spent: set[str]) -> list[Role]:
             stem = re.sub(r"(^|_)([a-dx-z]|left|right|up|down)(?=_|$)", "_#", re.sub(r"\d+", "#", stem.lower()))
             groups.setdefault(stem, []).append(name)
     roles: list[tuple[int, Role]] = []
-    for stem, names in groups.items():
+    for stem, names in _by_publisher(sheet, groups):
         bare = stem.replace("[#]", "#")
         if re.search(r"veloc|effort|accel", bare):
             continue
@@ -256,6 +256,23 @@ def roles_of(sheet: Sheet, spent: set[str]) -> list[Role]:
         else:
             merged.append((rank, role))
     return [role for _, role in merged]
+
+
+def _by_publisher(sheet: Sheet, groups: dict[str, list[str]]) -> list[tuple[str, list[str]]]:
+    """Return the groups, those cut in parts whose columns never hold a number in one row: of several publishers."""
+    found: list[tuple[str, list[str]]] = []
+    for stem, names in groups.items():
+        parts: list[tuple[NDArray[np.bool_], list[str]]] = []
+        for name in names:
+            present = np.isfinite(sheet.column(name))
+            part = next((part for part in parts if (part[0] & present).any()), None)
+            if part is None:
+                parts.append((present, [name]))
+            else:
+                part[1].append(name)
+                part[0][:] |= present
+        found += [(stem, part) for _, part in parts]
+    return found
 
 
 def _siblings(sheet: Sheet, one: Role, other: Role) -> bool:

@@ -28,8 +28,10 @@ from softmap_edge.logs.held import unhold
 from softmap_edge.logs.mapping import ANGLE, LENGTH, Mapping, Quantity, read_mapping
 from softmap_edge.logs.plausible import doubts_of_both, doubts_of_rest, doubts_of_rows, doubts_of_time
 from softmap_edge.logs.table import LogTable, read_log
+from softmap_edge.mcap_records import Damage
 from softmap_edge.plane import AXES, PLANE
 from softmap_edge.run import NOT_SEEN, SPOOL_RADIUS, Run
+from softmap_edge.time_text import differing
 
 __all__ = ["Imported", "Mapping", "import_logs", "read_mapping", "unhold"]
 
@@ -39,15 +41,16 @@ _TO_SI = {"g": 1.0, "kg": 1000.0, "N": 1000.0 / _core.STANDARD_GRAVITY, "mA": 1.
 
 @dataclass(frozen=True)
 class Imported:
-    """A run, what was done to make it, and what looks wrong in it; one sentence each."""
+    """A run, what was done to make it, what looks wrong in it, and what its logs lack; one sentence each."""
 
     run: Run
     notes: tuple[str, ...]
     doubts: tuple[str, ...] = ()
+    damage: tuple[str, ...] = ()
 
 
 def import_logs(paths: Sequence[str | os.PathLike[str]], mapping: Mapping) -> Imported:
-    """Read logs by a mapping.
+    """Read logs by a mapping; logs that are damaged or were cut give a `RecordingWarning` each.
 
     Args:
         paths: the logs; which is which the mapping tells by their names.
@@ -60,8 +63,9 @@ def import_logs(paths: Sequence[str | os.PathLike[str]], mapping: Mapping) -> Im
     doubts: list[str] = []
     files = _assign([Path(path) for path in paths], mapping)
     tables = [read_log(path, log) for path, log in zip(files, mapping.logs)]
+    damage = tuple(dict.fromkeys(note for table in tables for note in table.notes if isinstance(note, Damage)))
     for path, table in zip(files, tables):
-        notes += [f"{path.name}: {note}" for note in table.notes]
+        notes += [f"{path.name}: {note}" for note in table.notes if not isinstance(note, Damage)]
     fields: dict[str, Any] = _timeless(mapping, notes)
     if not fields:
         doubts += [f"{path.name}: {doubt}" for path, table in zip(files, tables) for doubt in doubts_of_time(table.t)]
@@ -84,7 +88,7 @@ def import_logs(paths: Sequence[str | os.PathLike[str]], mapping: Mapping) -> Im
         t = t - zero
         if t_seen is not None:
             fields["t_seen"] = t_seen - zero
-        notes.append(f"time counts from {zero:.6g} s of the log")
+        notes.append(f"time counts from {differing(zero, float(t[-1]) + zero)[0]} s of the log")
     _constants(files, mapping, fields, notes)
     made_from = [f"{path.name} sha256 {_sha256(path)}" for path in dict.fromkeys(files)]
     extra = {name: fields.pop(name) for name in ("base_markers", "marker_labels", PLANE) if name in fields}
@@ -95,7 +99,7 @@ def import_logs(paths: Sequence[str | os.PathLike[str]], mapping: Mapping) -> Im
         name = str(fault).split(":")[0]
         suspicion = next((doubt for doubt in doubts if f"{name}: " in doubt), None)  # what is wrong in the mapping
         raise RunError(f"{fault}; {suspicion}" if suspicion else str(fault)) from None
-    return Imported(run, tuple(notes), tuple(doubts))
+    return Imported(run, tuple(dict.fromkeys(notes)), tuple(doubts), damage)
 
 
 def _spool(mapping: Mapping) -> dict[str, Array]:
@@ -172,7 +176,10 @@ def _command_rows(
         rows = np.hstack([tables[k].numbers(quantity.columns) for quantity in goals])
         given = np.asarray(np.isfinite(rows).all(axis=1))
         if not given.any():
-            raise RunError(f"{tables[k].path}: no row has all commands; check the columns of `command`")
+            raise RunError(
+                f"{tables[k].path}: no row has all commands; name in `command` the columns of one publisher, which "
+                "stand in one row"
+            )
         if not given.all():
             notes.append(f"{int((~given).sum())} of {len(given)} rows have no command and were left out")
         t = tables[k].t[given]

@@ -21,6 +21,7 @@ from softmap_edge.logs.readers.columns import Array, Cells, Columns
 from softmap_edge.logs.readers.mcap_file import MAGIC
 from softmap_edge.logs.readers.mocap import is_motive, is_trc, open_motive, open_trc
 from softmap_edge.logs.readers.text import TextColumns, find_delimiter, open_text
+from softmap_edge.time_text import differing
 
 LARGEST = 1e20  # of any cell, whatever its unit: times in nanoseconds since 1970 are 2e18
 _TOLD = 6  # columns that are named
@@ -120,9 +121,10 @@ def read_log(path: Path, log: Log) -> LogTable:
     cells = _finite(cells, places, names)
     _within_reason(path, columns.where, cells, places, names)
     clock = None if log.clock.column is None else places.index(place(path, names, log.clock.column))
+    cells, aside = _set_aside(columns.where, cells, clock)
     t, cells, notes = _clock(path, columns.where, cells, clock, log.clock)
     values = dict(zip(places, cells.numbers.T))
-    return LogTable(path, t, names, columns.units, values, cells.labels, (*cells.notes, *notes))
+    return LogTable(path, t, names, columns.units, values, cells.labels, (*cells.notes, *aside, *notes))
 
 
 def place(path: Path, names: list[str], column: Column) -> int:
@@ -178,6 +180,24 @@ def _within_reason(path: Path, where: str, cells: Cells, places: list[int], name
 
 
 # --- time ----------------------------------------------------------------------------------
+def _set_aside(where: str, cells: Cells, clock: int | None) -> tuple[Cells, list[str]]:
+    """Leave out rows that hold a time and nothing else that the mapping names: those of another publisher or device.
+
+    Messages always; rows of other logs where time does not rise with them.
+    """
+    rest = np.delete(cells.numbers, [] if clock is None else [clock], axis=1)
+    bare = np.asarray(np.isnan(rest).all(axis=1))
+    if clock is None or not bare.any() or bare.all():
+        return cells, []
+    t = cells.numbers[:, clock]
+    bare &= np.isfinite(t)
+    if where != "message" and (np.diff(t[np.isfinite(t)]) > 0).all():
+        return cells, []
+    what = "messages" if where == "message" else "rows"
+    note = f"{int(bare.sum())} of {len(bare)} {what} hold none of the columns that the mapping names and were left out"
+    return _kept(cells, ~bare), [note]
+
+
 def _clock(path: Path, where: str, cells: Cells, column: int | None, clock: Clock) -> tuple[Array, Cells, list[str]]:
     """The time of the rows in s, the rows that have one, and what was odd."""
     notes: list[str] = []
@@ -227,12 +247,13 @@ def _increasing(path: Path, where: str, t: Array, cells: Cells, spread: bool) ->
         return
     row = int(np.argmax(late)) + 1
     back = step[row - 1] < 0
+    now, before = differing(t[row], t[row - 1])
     remedy = 'set time.repeated = "drop" to leave such rows out'
     if not back:
         remedy += ', or "spread" to place rows of one time evenly up to the next'
     raise RunError(
         f"{path}: time {'goes backwards' if back else 'stands still'} at row {row} ({where} {cells.lines[row]}: "
-        f"{t[row]:.10g} s after {t[row - 1]:.10g} s), {int(late.sum())} such rows; {remedy}"
+        f"{now} s after {before} s), {int(late.sum())} such rows; {remedy}"
     )
 
 

@@ -31,9 +31,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from softmap_edge import __version__, _core
-from softmap_edge.errors import ServoError, SoftmapError
+from softmap_edge.errors import RecordingBroken, ServoError, SoftmapError
 from softmap_edge.motion.kinematics import Kinematics
-from softmap_edge.servo import words
+from softmap_edge.servo import session_mark, words
 from softmap_edge.servo.bench_limits import check_bench
 from softmap_edge.servo.ending import kept_words, numbers, running
 from softmap_edge.servo.rig import Rig
@@ -58,7 +58,8 @@ class Controller(Watched):
     and that home was proved since they got power (`proof.py`), and goes to READY. With `commissioning` it goes to
     CONNECTED, home is not asked for, and small slow moves are all that is allowed (`jog.py`). Leaving slackens and
     switches torque off, whatever happened. With `record` all that the loop hears, decides and sends goes to that file,
-    which must not exist (`recording.py`); a disk that is full ends the recording and not the loop (`unrecorded`).
+    which must not exist (`recording.py`). A full disk ends the recording and not the loop: `unrecorded` says so
+    meanwhile, and leaving raises `RecordingBroken`.
 
     Raises:
         ServoError: a limit is missing or out of range, the loop cannot start, or a request is denied; the message says
@@ -107,9 +108,11 @@ class Controller(Watched):
         self._silent = 0
 
     def __enter__(self) -> Self:
+        session_mark.report_last(self.rig.port)
         self._start()
         try:
             self._wait(lambda: None not in (self._last.get("position") or [None]), STARTS, "the servos say nothing")
+            self._mark = session_mark.begin(self.rig.port, self._record, self._process.pid if self._process else 0)
             self._wait_for_release()
             for request in ("connect",) if self._commissioning else ("connect", "home", "arm"):
                 self._reach(request)
@@ -122,29 +125,14 @@ class Controller(Watched):
         self, kind: type[BaseException] | None, fault: BaseException | None, trace: TracebackType | None
     ) -> None:
         ended, kept = self._close()
-        said = "; ".join(filter(None, (ended, kept)))
+        broken = None if self.unrecorded is None or self.unrecorded in str(fault) else self.unrecorded
+        said = "; ".join(filter(None, (ended, kept, broken)))
         if said and isinstance(fault, SoftmapError):
             raise ServoError(f"{fault}; {said}") from fault
         if said and fault is not None and not kept:
             fault.add_note(said)  # it goes on as what it is: no servo has torque
         elif said:
-            raise ServoError(said)
-
-    @property
-    def recording(self) -> Path | None:
-        """The file that is recorded to; it can be read while it grows."""
-        return self._record
-
-    @property
-    def unrecorded(self) -> str | None:
-        """Why the recording ended before the loop did, a full disk perhaps; None while it goes on, or was whole."""
-        fault = self._last.get("unrecorded")
-        return None if fault is None else f"{self._record}: the recording broke off ({fault}); what it has is kept"
-
-    def check_recorded(self) -> None:
-        """Raise ServoError where a recording ended before the loop did."""
-        if self.unrecorded is not None:
-            raise ServoError(self.unrecorded)
+            raise ServoError(said) if ended or kept else RecordingBroken(said)
 
     def request(self, name: str, seconds: float = 3.0) -> None:
         """Ask for `connect`, `arm`, `engage`, `hold`, `stop`, `acknowledge`, `disconnect` or `commission`.
@@ -241,9 +229,11 @@ class Controller(Watched):
         Raises:
             ServoError: a servo has not said that it has no torque, or a fault kept the finger from going home. One that
                 came before is told by whatever was called then.
+            RecordingBroken: the recording ended before the loop did.
         """
         if said := "; ".join(filter(None, self._close())):
             raise ServoError(said)
+        self.check_recorded()
 
     def _close(self) -> tuple[str, str]:
         """Return what kept the finger from going home, and what is to be said of servos that may have torque."""
@@ -273,6 +263,7 @@ class Controller(Watched):
             self._reader.join(3.0)
             if process.returncode != 0 and "error" not in self._last:
                 self._rescue(process)
+            session_mark.end(self._mark)
         left = self._end.get("kept_torque") if self._drove else None
         return ended, str(self._last.get("kept") or (kept_words(left) if left else ""))
 
@@ -299,6 +290,7 @@ class Controller(Watched):
         if self._record is not None:
             about = {"schema": "softmap.setup/1", "softmap": __version__, "calibration": self.calibration.to_dict()}
             setup |= {"record": str(self._record.absolute()), "setup": json.dumps(about | setup)}
+        setup["session"] = session_mark.path_of(self.rig.port)
         # Its own session: a Ctrl-C in the terminal is for this side, which slackens and ends it in order.
         self._process = subprocess.Popen(
             [sys.executable, "-m", "softmap_edge.servo.loop", str(orders), str(reports)],

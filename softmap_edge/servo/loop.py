@@ -17,6 +17,7 @@ from softmap_edge import _core
 from softmap_edge.errors import ServoError, SoftmapError
 from softmap_edge.servo.bus import opened, pinged
 from softmap_edge.servo.proof import check_proved, set_mark
+from softmap_edge.servo.session_mark import note_released
 from softmap_edge.signed_udp import read_key
 
 
@@ -26,7 +27,7 @@ def main() -> int:
     told = os.dup(reports)  # the loop closes its own
     try:
         setup = json.load(sys.stdin)
-        homes = setup.pop("homes")
+        homes, session = setup.pop("homes"), setup.pop("session", None)
         if homes is not None:
             _check_home(setup["port"], setup["baud"], setup["servos"], homes)
         if setup["gpio"] is not None:
@@ -36,6 +37,7 @@ def main() -> int:
             setup["heartbeat"] = host, port, read_key(key_file), timeout
         if _core.control_loop(orders, reports, **setup):
             _forget_home(setup["port"], setup["baud"], setup["servos"])
+        note_released(session)
     except SoftmapError as fault:
         os.write(told, (json.dumps({"schema": "softmap.loop/1", "error": str(fault)}) + "\n").encode())
         return 1

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from softmap_edge import _core
 from softmap_edge.errors import CalibrationError, RunError, SoftmapError
 from softmap_edge.run import Run
+from softmap_edge.servo.recording_damage import find_shortfall
 from softmap_edge.ticks import Calibration
 
 Document = dict[str, Any]
@@ -29,13 +30,16 @@ FARTHEST = 2.0**31  # ticks: what a servo's register of its position holds
 class Recording:
     """What a loop was made of, and each of its periods (softmap.loop as in the file's schema).
 
-    short: why there may be more periods than these, None where the loop closed it.
+    short: why there may be more periods than these, None where the loop closed it. incomplete: a sentence on that, with
+        how far it is read and how much is missing. doubtful: its checksum fails, so any of its numbers may be wrong.
     """
 
     file: Path
     setup: Document
     periods: list[Document]
     short: str | None = None
+    incomplete: str | None = None
+    doubtful: bool = False
 
     @property
     def limits(self) -> Document:
@@ -172,12 +176,17 @@ def read_recording(path: str | Path) -> Recording:
         raise RunError(f"{file}: no such file; give what a loop recorded, as of `softmap track --record FILE.mcap`")
     try:
         messages = _core.read_recording(str(file))
-        documents, short = _documents(messages)
+        documents, broken = _documents(messages)
         setup = next((document for topic, document in documents if topic == SETUP), None)
         periods = [document for topic, document in documents if topic == LOOP]
         if setup is None or not isinstance(setup.get("limits"), dict) or not periods:
-            raise RunError(f"{file}: holds no periods of a control loop; give what `softmap` recorded")
-        return Recording(file, setup, periods, short or _short(file))
+            raise RunError(
+                f"{file}: holds no periods of a control loop; give what `softmap` recorded, or make a run of another "
+                "MCAP file by `softmap import`"
+            )
+        times = [time for topic, time, _ in messages[: len(documents)] if topic == LOOP]
+        lacks = find_shortfall(file, len(messages), len(documents), (times[-1] - times[0]) * 1e-9, broken)
+        return Recording(file, setup, periods, lacks.why, lacks.sentence, lacks.doubtful)
     except RunError:
         raise
     except SoftmapError as fault:
@@ -195,15 +204,6 @@ def _documents(messages: list[tuple[str, int, bytes]]) -> tuple[list[tuple[str, 
         except (ValueError, RecursionError) as fault:
             return found, f"damaged (message {len(found)} is no JSON: {fault!s:.40}); record again"
     return found, None
-
-
-def _short(file: Path) -> str | None:
-    """Return why a recording may hold less than was driven: damaged within, or never closed by its loop."""
-    try:
-        _, ended = _core.Reading(str(file)).more()
-    except SoftmapError as fault:
-        return str(fault).removeprefix(f"{file}: ")
-    return None if ended else "its loop did not close it: cut short"
 
 
 def _filled(rows: list[list[float | None]], before: list[list[float | None]]) -> NDArray[np.float64]:

@@ -10,14 +10,16 @@ import os
 import select
 import subprocess
 import threading
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from softmap_edge.errors import ServoError
+from softmap_edge.errors import RecordingBroken, ServoError
 from softmap_edge.servo.bus import kept_torque, opened
 from softmap_edge.servo.ending import kept_words
+from softmap_edge.servo.recording_end import broken_recording
 from softmap_edge.servo.rig import Rig
 
 FROZEN = 0.6  # s without a report after which the loop's process is taken to be frozen
@@ -38,6 +40,9 @@ class Watched:
     _ending: bool
     _drove: bool
     _stood: NDArray[np.float64]
+    _record: Path | None
+    _broken: str | None = None  # why the recording broke off
+    _mark: Path | None = None  # of the session
 
     @property
     def state(self) -> str:
@@ -59,6 +64,25 @@ class Watched:
     def ended(self) -> dict[str, Any]:
         """The last report: why the loop ended and how it kept its time; empty while it runs."""
         return dict(self._end)
+
+    @property
+    def recording(self) -> Path | None:
+        """The file that is recorded to; it can be read while it grows."""
+        return self._record
+
+    @property
+    def unrecorded(self) -> str | None:
+        """Why the recording ended before the loop did, a full disk perhaps; None while it goes on, or is complete."""
+        if self._record is not None and self._broken is None:
+            ended = bool(self._end) and self._process is None
+            lost = int(self._end.get("lost", 0)) if ended else 0
+            self._broken = broken_recording(self._record, self._last.get("unrecorded"), lost, ended)
+        return self._broken
+
+    def check_recorded(self) -> None:
+        """Raise RecordingBroken where a recording ended before the loop did."""
+        if self.unrecorded is not None:
+            raise RecordingBroken(self.unrecorded)
 
     def _watch(self, pipe: int, process: subprocess.Popen[bytes]) -> None:
         """Take the loop's reports until it ends; release its servos if it dies or freezes under torque."""

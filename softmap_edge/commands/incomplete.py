@@ -1,0 +1,43 @@
+"""Prints, for every command, that a recording which it opened is damaged or was cut short, each once on stderr.
+
+Such a command does its work with what is sound and returns 1. Pinned by tests/test_mcap_damage.py.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import warnings
+from collections.abc import Iterator
+from typing import TextIO
+
+from softmap_edge.errors import RecordingWarning, SessionWarning
+
+
+@contextlib.contextmanager
+def telling(verb: str) -> Iterator[set[str]]:
+    """Print each `RecordingWarning` as a line of `verb`, and give the set of them; print how a last session ended."""
+    printed: set[str] = set()
+    with warnings.catch_warnings():
+        usual = warnings.showwarning
+
+        def show(
+            message: Warning | str,
+            category: type[Warning],
+            filename: str,
+            lineno: int,
+            file: TextIO | None = None,
+            line: str | None = None,
+        ) -> None:
+            if not issubclass(category, RecordingWarning | SessionWarning):
+                usual(message, category, filename, lineno, file, line)
+            elif (text := str(message)) not in printed:
+                from softmap_edge.commands.output import to_stderr  # loads numpy
+
+                to_stderr(f"softmap {verb}: {text}")
+                if issubclass(category, RecordingWarning):
+                    printed.add(text)
+
+        for category in (RecordingWarning, SessionWarning):
+            warnings.filterwarnings("always", category=category)
+        warnings.showwarning = show
+        yield printed

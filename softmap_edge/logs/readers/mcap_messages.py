@@ -1,0 +1,220 @@
+"""Reads the messages of an MCAP file whose checksums hold, and accounts for the others.
+
+A chunk whose checksum, size or compression fails is left out, and those after it are still read. Pinned by
+tests/test_mcap_damage.py and tests/test_import_mcap.py.
+"""
+
+from __future__ import annotations
+
+import io
+import struct
+import zlib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from softmap_edge.errors import RunError, brief
+from softmap_edge.logs.readers.mcap_account import Account, Lost
+from softmap_edge.mcap_records import (
+    CHANNEL,
+    CHUNK,
+    MAGIC,
+    MESSAGE,
+    MESSAGE_INDEX,
+    SCHEMA,
+    Chunk,
+    Record,
+    Walk,
+    fits,
+    read_chunk,
+    read_closing,
+    split,
+)
+
+if TYPE_CHECKING:
+    from mcap.records import Channel, Message, Schema
+
+_LARGEST = 2**28  # bytes of one chunk when unpacked; writers use 1 to 16 MB
+_WINDOW = 2**27  # bytes that zstd may look back
+
+
+class Bad(ValueError):
+    """Why a chunk is left out."""
+
+
+class Messages:
+    """Every message of a file with its channel and schema, and each channel once without one.
+
+    `.account` holds what was left out, complete once all messages were read.
+
+    Raises:
+        RunError: `mcap` is not installed, the file is none, or nothing in it vouches for its messages.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._schemas: dict[int, Schema] = {}
+        self._channels: dict[int, Channel] = {}
+        self._spare: tuple[dict[int, Channel], dict[int, Schema]] = {}, {}  # of the summary
+        self.account = Account(path, 0, None)
+
+    def __iter__(self) -> Iterator[tuple[Any, Any, Any]]:
+        try:
+            import mcap.records  # noqa: F401 - asked for here, once
+        except ImportError:
+            raise RunError(
+                f"{self._path}: MCAP needs the package mcap; run pip install 'softmap-edge[capture]'"
+            ) from None
+        try:
+            yield from self._read()
+        except OSError as cause:
+            raise RunError(
+                f"{self._path}: cannot be read ({cause.strerror or cause}); give the path of a log"
+            ) from cause
+
+    def _read(self) -> Iterator[tuple[Any, Any, Any]]:
+        with self._path.open("rb") as file:
+            if file.read(len(MAGIC)) != MAGIC:
+                raise RunError(
+                    f"{self._path}: is no MCAP file (its first bytes are others); give the .mcap of the recording"
+                )
+            size = self._path.stat().st_size
+            closing = read_closing(file, size)
+            self.account = account = Account(self._path, size, closing)
+            for kind, body in () if closing is None else closing.defined:
+                self._define(kind, body, *self._spare)
+            walk = Walk(file, size, None if closing is None else closing.data_end)
+            account.gaps = walk.gaps
+            for record in walk:
+                account.odd = walk.odd
+                yield from self._record(record)
+            account.odd = walk.odd
+            account.settle()
+
+    def _record(self, record: Record) -> Iterator[tuple[Any, Any, Any]]:
+        account = self.account
+        if record.kind == CHUNK:
+            account.settle()
+            yield from self._chunk(record)
+        elif record.kind == MESSAGE_INDEX:
+            account.indexed += (len(record.body) - 6) // 16
+        elif record.kind == MESSAGE and account.chunks and not self._sound:
+            account.strays += 1
+        elif record.kind == MESSAGE and self._sound is False:
+            raise RunError(
+                f"{self._path}: the checksum of its data does not match, so any of its messages may be wrong; copy it "
+                "again"
+            )
+        elif record.kind in (SCHEMA, CHANNEL, MESSAGE):
+            account.unchecked += record.kind == MESSAGE
+            yield from self._item(record.kind, record.body)
+
+    @property
+    def _sound(self) -> bool | None:
+        """Whether the checksum of all data matches; None where the file has none."""
+        return None if self.account.closing is None else self.account.closing.data
+
+    def _chunk(self, record: Record) -> Iterator[tuple[Any, Any, Any]]:
+        account = self.account
+        account.chunks += 1
+        chunk = read_chunk(record.body)
+        try:
+            data = unpacked(chunk)
+            items = list(split(data))
+            if not all(fits(kind, body, len(body)) for kind, body in items if kind in (SCHEMA, CHANNEL, MESSAGE)):
+                raise Bad("its records do not fill it")
+        except ValueError as fault:
+            stated = {} if account.closing is None else account.closing.spans
+            span = stated.get(record.start, (chunk.first, chunk.last))
+            account.lost.append(Lost(record.start, record.end, brief(fault), span))
+            return
+        account.unchecked += chunk.crc == 0 and len(data) > 0
+        for kind, body in items:
+            yield from self._item(kind, body)
+
+    def _item(self, kind: int, body: bytes) -> Iterator[tuple[Any, Any, Any]]:
+        if kind == MESSAGE:
+            message = self._message(body)
+            channel = self._channels.get(message.channel_id) or self._spare[0].get(message.channel_id)
+            if channel is None:
+                self.account.strays += 1
+                return
+            self.account.took(message.channel_id, message.log_time)
+            yield channel, self._schema(channel), message
+        elif kind in (SCHEMA, CHANNEL):
+            new = self._define(kind, body, self._channels, self._schemas)
+            if new is not None:
+                yield new, self._schema(new), None
+
+    def _schema(self, channel: Channel) -> Schema | None:
+        return self._schemas.get(channel.schema_id) or self._spare[1].get(channel.schema_id)
+
+    def _define(
+        self, kind: int, body: bytes, channels: dict[int, Channel], schemas: dict[int, Schema]
+    ) -> Channel | None:
+        """Keep a schema or a channel; return a channel that is new. The first of several of one id counts."""
+        from mcap.data_stream import ReadDataStream
+        from mcap.exceptions import McapError
+        from mcap.records import Channel, Schema
+
+        stream = ReadDataStream(io.BytesIO(body))
+        try:
+            if kind == SCHEMA:
+                schema = Schema.read(stream)
+                self.account.clashes += schemas.setdefault(schema.id, schema) != schema
+                return None
+            channel = Channel.read(stream)
+        except (McapError, ValueError, struct.error):
+            self.account.clashes += 1
+            return None
+        self.account.clashes += channels.get(channel.id, channel) != channel
+        return channels.setdefault(channel.id, channel) if channel.id not in channels else None
+
+    @staticmethod
+    def _message(body: bytes) -> Message:
+        from mcap.data_stream import ReadDataStream
+        from mcap.records import Message
+
+        message: Message = Message.read(ReadDataStream(io.BytesIO(body)), len(body))
+        return message
+
+
+def unpacked(chunk: Chunk) -> bytes:
+    """Return the bytes of a chunk, at most as many as it states, their checksum checked.
+
+    Raises:
+        Bad: they cannot be had, or do not match their size or checksum.
+    """
+    if chunk.size > _LARGEST:
+        raise Bad(f"a chunk of {chunk.size} bytes, at most {_LARGEST} are unpacked")
+    try:
+        data = _unpack(chunk)
+    except ImportError:
+        raise RunError(
+            f"chunks packed by {chunk.compression} need a package; run pip install 'softmap-edge[capture]'"
+        ) from None
+    except Bad:
+        raise
+    except Exception as fault:  # lz4, zstandard: whatever a damaged chunk meets
+        raise Bad(f"it cannot be unpacked: {brief(fault) or type(fault).__name__}") from None
+    if len(data) != chunk.size:
+        raise Bad(f"a chunk holds {len(data)} bytes, but states {chunk.size}")
+    if chunk.crc != 0 and zlib.crc32(data) != chunk.crc:
+        raise Bad("its checksum does not match")
+    return data
+
+
+def _unpack(chunk: Chunk) -> bytes:
+    if chunk.compression == "":
+        return chunk.data
+    if chunk.compression == "zstd":
+        import zstandard
+
+        unpacker = zstandard.ZstdDecompressor(max_window_size=_WINDOW)
+        with unpacker.stream_reader(io.BytesIO(chunk.data)) as stream:
+            return bytes(stream.read(chunk.size + 1))
+    if chunk.compression == "lz4":
+        import lz4.frame
+
+        return bytes(lz4.frame.LZ4FrameDecompressor().decompress(chunk.data, max_length=chunk.size + 1))
+    raise Bad(f"chunks packed by {chunk.compression[:20]!r} are not read; record with zstd or lz4")

@@ -1,0 +1,292 @@
+"""Walks the records of an MCAP file and checks its framing, its checksums and what its end states of it.
+
+An MCAP file that was closed ends with a summary (how many messages, where the chunks are), a footer and the magic
+bytes. CRC-32 checksums of the data section and of the summary are there unless they are 0. A file that was cut has no
+end. After bytes that are no record the walk goes on at the next chunk. Nothing here needs a package. Pinned by
+tests/test_mcap_damage.py.
+
+Source of the format: MCAP, Foxglove, https://mcap.dev/spec.
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from typing import BinaryIO
+
+import numpy as np
+
+MAGIC = b"\x89MCAP0\r\n"
+HEADER, FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX, CHUNK_INDEX, ATTACHMENT = range(1, 10)
+STATISTICS, METADATA, DATA_END = 0x0B, 0x0C, 0x0F
+READ = (FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX, DATA_END)
+LONGEST = 2**28 + 2**16  # bytes of a record that are read
+_HEAD = struct.Struct("<BQ")  # kind, length
+_CHUNK_HEAD = struct.Struct("<QQQII")  # first and last time, size and checksum unpacked, length of the compression
+_FOOTER = struct.Struct("<BQQQI")  # kind, length, where the summary and its offsets begin, checksum
+_STATISTICS = struct.Struct("<QHIIIIQQI")
+_BLOCK = 2**20
+
+
+class Damage(str):
+    """A sentence on what is missing or wrong in a recording."""
+
+
+@dataclass(frozen=True)
+class Record:
+    """A record: its kind, where it begins and ends in the file, and its bytes, empty for kinds that are not `READ`."""
+
+    kind: int
+    start: int
+    end: int
+    body: bytes = b""
+
+
+@dataclass(frozen=True)
+class Closing:
+    """What the end of a closed file states.
+
+    Attributes:
+        data_end: where the data section ends, bytes.
+        data: whether the checksum of the data section matches; None if there is none.
+        summary: the same of the summary.
+        counts: messages by channel id; None where that is not stated.
+        total: messages; None without sound statistics.
+        spans: first and last time (ns) of each chunk, by where it begins.
+        defined: the schemas and channels of the summary (kind, bytes).
+    """
+
+    data_end: int
+    data: bool | None = None
+    summary: bool | None = None
+    counts: dict[int, int] | None = None
+    total: int | None = None
+    spans: dict[int, tuple[int, int]] = field(default_factory=dict)
+    defined: tuple[tuple[int, bytes], ...] = ()
+
+
+@dataclass(frozen=True)
+class Chunk:
+    """The header of a chunk: its times (ns), its size and checksum unpacked, its compression, its packed bytes."""
+
+    first: int
+    last: int
+    size: int
+    crc: int
+    compression: str
+    data: bytes
+
+
+def read_chunk(body: bytes) -> Chunk:
+    """Return a chunk, still packed. Raises ValueError where its parts do not fill it exactly."""
+    if len(body) < _CHUNK_HEAD.size:
+        raise ValueError("a chunk that is too short")
+    first, last, size, crc, length = _CHUNK_HEAD.unpack_from(body)
+    at = _CHUNK_HEAD.size + length
+    if length > 64 or at + 8 > len(body) or int.from_bytes(body[at : at + 8], "little") != len(body) - at - 8:
+        raise ValueError("a chunk whose lengths contradict one another")
+    name = body[_CHUNK_HEAD.size : at].decode("ascii", "replace")
+    return Chunk(first, last, size, crc, name, body[at + 8 :])
+
+
+def split(data: bytes) -> Iterator[tuple[int, bytes]]:
+    """Yield kind and bytes of each record in `data`. Raises ValueError where the last one is not complete."""
+    at, size = 0, len(data)
+    while at < size:
+        if size - at < _HEAD.size:
+            raise ValueError("a record that is cut")
+        kind, length = _HEAD.unpack_from(data, at)
+        at += _HEAD.size
+        if length > size - at:
+            raise ValueError("a record that is cut")
+        yield kind, data[at : at + length]
+        at += length
+
+
+# --- the end of a file -----------------------------------------------------------------------
+def read_closing(file: BinaryIO, size: int) -> Closing | None:
+    """Return what the end of a file states, its checksums checked; None where it does not end as a closed file does."""
+    tail = _FOOTER.size + len(MAGIC)
+    if size < len(MAGIC) + tail:
+        return None
+    end = _piece(file, size - tail, tail)
+    kind, length, start, _, stated = _FOOTER.unpack_from(end)
+    if kind != FOOTER or length != _FOOTER.size - _HEAD.size or not end.endswith(MAGIC):
+        return None
+    footer = size - tail
+    begins = start or footer
+    if not len(MAGIC) <= begins <= footer or footer - begins > LONGEST:
+        return Closing(footer, summary=False)
+    summary = _piece(file, begins, footer - begins)
+    found = zlib.crc32(end[: _FOOTER.size - 4], zlib.crc32(summary))
+    sound = None if stated == 0 else found == stated
+    if start == 0 and sound is False:  # without a summary, writers disagree on what the number is of
+        sound = None
+    data_end, data = _data_section(file, begins)
+    closing = Closing(data_end, data, sound)
+    return closing if sound is False else _stated(closing, summary)
+
+
+def _stated(closing: Closing, summary: bytes) -> Closing:
+    counts, total, spans, defined = None, None, {}, []
+    try:
+        for kind, body in split(summary):
+            if kind == STATISTICS:
+                total, *_, length = _STATISTICS.unpack_from(body)
+                pairs = body[_STATISTICS.size : _STATISTICS.size + length]
+                counts = dict(struct.iter_unpack("<HQ", pairs)) or None
+            elif kind == CHUNK_INDEX:
+                first, last, start = struct.unpack_from("<QQQ", body)
+                spans[start] = (first, last)
+            elif kind in (SCHEMA, CHANNEL):
+                defined.append((kind, body))
+    except (ValueError, struct.error):
+        return Closing(closing.data_end, closing.data, False)
+    return Closing(closing.data_end, closing.data, closing.summary, counts, total, spans, tuple(defined))
+
+
+def _data_section(file: BinaryIO, begins: int) -> tuple[int, bool | None]:
+    """Return where the data section ends, before `begins`, and whether its checksum matches."""
+    start = begins - _HEAD.size - 4
+    if start < len(MAGIC):
+        return begins, None
+    kind, length, stated = struct.unpack("<BQI", _piece(file, start, _HEAD.size + 4))
+    if kind != DATA_END or length != 4:
+        return begins, None
+    if stated == 0:
+        return start, None
+    # With the magic bytes, as most writers do it; after them; after the header.
+    header = len(MAGIC) + _HEAD.size + int.from_bytes(_piece(file, len(MAGIC) + 1, 8), "little")
+    return start, any(_checksum(file, first, start) == stated for first in (0, len(MAGIC), header) if first < start)
+
+
+def _checksum(file: BinaryIO, first: int, end: int) -> int:
+    file.seek(first)
+    crc, left = 0, end - first
+    while left > 0 and (block := file.read(min(_BLOCK, left))):
+        crc, left = zlib.crc32(block, crc), left - len(block)
+    return crc
+
+
+def _piece(file: BinaryIO, start: int, length: int) -> bytes:
+    file.seek(start)
+    return file.read(length)
+
+
+# --- the data section ------------------------------------------------------------------------
+class Walk:
+    """The records of the data section of a file, from its first to `end`.
+
+    `.gaps` are the bytes (from, to) that are no records, `.odd` how many records of an unknown kind were passed over.
+    """
+
+    def __init__(self, file: BinaryIO, size: int, end: int | None = None) -> None:
+        self._file, self._size, self._end = file, size, size if end is None else end
+        self.gaps: list[tuple[int, int]] = []
+        self.odd = 0
+
+    def __iter__(self) -> Iterator[Record]:
+        at = len(MAGIC)
+        while at < self._end:
+            record = self._record(at)
+            if record is None:
+                begin, at = at, self._next_chunk(at + 1, self._end)
+                self.gaps.append((begin, at))
+                continue
+            if record.kind in (DATA_END, FOOTER):
+                return
+            yield record
+            at = record.end
+
+    def _record(self, at: int) -> Record | None:
+        """Return the record that begins at `at`; None where none does."""
+        head = _piece(self._file, at, _HEAD.size)
+        if len(head) < _HEAD.size:
+            return None
+        kind, length = _HEAD.unpack(head)
+        end = at + _HEAD.size + length
+        if kind == 0 or end > self._size:
+            return None
+        if kind in READ:
+            body = _piece(self._file, at + _HEAD.size, length) if length <= LONGEST else b""
+            return Record(kind, at, end, body) if fits(kind, body, length) else None
+        if not fits(kind, _piece(self._file, at + _HEAD.size, min(length, _BLOCK)), length):
+            if self._next_chunk(at + 1, end) < end:  # a length that is wrong reaches over what follows
+                return None
+            self.odd += kind > DATA_END
+        return Record(kind, at, end)
+
+    def _next_chunk(self, at: int, end: int) -> int:
+        """Return where the next chunk begins whose lengths agree, from `at` on; `end` where there is none."""
+        while at < end:
+            block = _piece(self._file, at, _BLOCK + 256)
+            found = _chunk_in(np.frombuffer(block, np.uint8), at, self._size)
+            if found is not None and found < end:
+                return found
+            at += _BLOCK
+        return end
+
+
+def _chunk_in(block: np.ndarray[tuple[int], np.dtype[np.uint8]], offset: int, size: int) -> int | None:
+    """Return the place in the file of the first chunk in a block that begins at `offset` of a file of `size` bytes."""
+    head = _HEAD.size + _CHUNK_HEAD.size
+    count = len(block) - head - 8
+    if count <= 0:
+        return None
+    places = np.flatnonzero(block[:count] == CHUNK)
+    places = places[(block[places + head - 4] <= 16) & (block[places + head - 3] == 0)]
+    packed = places + head + block[places + head - 4]  # where the number of packed bytes stands
+    places, packed = places[packed + 8 <= len(block)], packed[packed + 8 <= len(block)]
+
+    def number(at: np.ndarray[tuple[int], np.dtype[np.int64]]) -> np.ndarray[tuple[int], np.dtype[np.uint64]]:
+        numbers: np.ndarray[tuple[int], np.dtype[np.uint64]] = block[at[:, None] + np.arange(8)].view("<u8")[:, 0]
+        return numbers
+
+    length, inside = number(places + 1), number(packed)
+    fits = (length <= size) & (length == inside + (packed + 8 - places - _HEAD.size).astype(np.uint64))
+    fits &= places + offset + _HEAD.size + length.astype(np.int64) <= size
+    return int(places[fits][0]) + offset if fits.any() else None
+
+
+def fits(kind: int, body: bytes, length: int) -> bool:
+    """Return whether the parts of a record fill its length; `body` may be its beginning alone."""
+    try:
+        return _FITS[kind](body, length) if kind in _FITS else False
+    except struct.error:
+        return False
+
+
+def _chunk_fits(body: bytes, length: int) -> bool:
+    try:
+        read_chunk(body)
+    except ValueError:
+        return False
+    return len(body) == length
+
+
+def _texts_fit(body: bytes, length: int, at: int, texts: int) -> int:
+    """Return where what follows `texts` strings after `at` begins."""
+    for _ in range(texts):
+        at += 4 + int(struct.unpack_from("<I", body, at)[0])
+    return at
+
+
+def _attachment_fits(body: bytes, length: int) -> bool:
+    at = _texts_fit(body, length, 16, 2)
+    return at + 8 + int(struct.unpack_from("<Q", body, at)[0]) + 4 == length
+
+
+_FITS: dict[int, Callable[[bytes, int], bool]] = {
+    HEADER: lambda body, length: _texts_fit(body, length, 0, 2) == length,
+    FOOTER: lambda body, length: length == 20,
+    SCHEMA: lambda body, length: _texts_fit(body, length, 2, 3) <= length,
+    CHANNEL: lambda body, length: _texts_fit(body, length, 4, 3) <= length,
+    MESSAGE: lambda body, length: 22 <= length == len(body),
+    CHUNK: _chunk_fits,
+    MESSAGE_INDEX: lambda body, length: _texts_fit(body, length, 2, 1) == length,
+    ATTACHMENT: _attachment_fits,
+    METADATA: lambda body, length: _texts_fit(body, length, 0, 2) == length,
+    DATA_END: lambda body, length: length == 4,
+}

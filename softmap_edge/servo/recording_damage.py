@@ -1,0 +1,100 @@
+"""Finds what a recording of the loop lacks: cut short, damaged at one place, or damaged anywhere.
+
+The file ends with a checksum of all that the loop wrote and with the number of its messages; the compiled reader stops
+where a record is damaged. Pinned by tests/test_recording.py and tests/test_recording_damage.py.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from softmap_edge import _core
+from softmap_edge.errors import SoftmapError
+from softmap_edge.mcap_records import MESSAGE, Closing, Damage, Walk, read_closing
+
+CUT = "its loop did not close it: cut short"
+_ANYWHERE = "damaged (Data section CRC"  # how the reader begins where the checksum of everything fails
+
+
+@dataclass(frozen=True)
+class Shortfall:
+    """Why a recording may hold less than was driven, None where it does not, and a sentence on how much is missing.
+
+    doubtful: the checksum of the data fails and no place shows where, so any number may be wrong.
+    """
+
+    why: str | None = None
+    sentence: Damage | None = None
+    doubtful: bool = False
+
+
+def find_shortfall(file: Path, messages: int, read: int, seconds: float, broken: str | None) -> Shortfall:
+    """Return what a recording lacks.
+
+    Args:
+        file: the recording.
+        messages: messages that the reader found.
+        read: messages that are used, all before the first one that is `broken`.
+        seconds: s from the first period to the last that is used.
+        broken: why the next message is no document; None where all of them are.
+    """
+    why = broken or _why(file)
+    with open(file, "rb") as stream:
+        size = file.stat().st_size
+        closing = read_closing(stream, size)
+        if why is None and closing is None:
+            why = CUT
+        if why is None:
+            return Shortfall(None, _unchecked(file, closing, Walk(stream, size)))
+        start = size if closing is not None else _readable(Walk(stream, size), size)
+    doubtful = why.startswith(_ANYWHERE)
+    if doubtful:
+        text = f"{file} is damaged: the checksum of its data does not match, so any of its {read} messages may be wrong"
+        return Shortfall(why, Damage(text), True)
+    parts = [_head(file, why, closing), f"it is read up to {seconds:.2f} s", *_missing(closing, messages, read)]
+    if start < size:
+        parts.append(f"{size - start} of {size} bytes cannot be read")
+    if closing is None:
+        parts.append("without its end it carries no checksum")
+    return Shortfall(why, Damage("; ".join(parts)))
+
+
+def _why(file: Path) -> str | None:
+    """Return why a recording may hold less than was driven: damaged within, or never closed by its loop."""
+    try:
+        _, ended = _core.Reading(str(file)).more()
+    except SoftmapError as fault:
+        return str(fault).removeprefix(f"{file}: ")
+    return None if ended else CUT
+
+
+def _head(file: Path, why: str, closing: Closing | None) -> str:
+    cause = why.removesuffix("; record again")
+    if closing is None:
+        return f"{file} was cut short: its loop did not close it" + ("" if why == CUT else f", and it is {cause}")
+    return f"{file} is damaged at its end" if why == CUT else f"{file} is {cause}"
+
+
+def _missing(closing: Closing | None, messages: int, read: int) -> list[str]:
+    """Return how many messages are missing, of those that the file states or that were found."""
+    stated = 0 if closing is None or closing.total is None else closing.total
+    total = max(messages, stated)
+    if total > read:
+        return [f"{total - read} of {total} messages missing"]
+    return ["no message is missing"] if stated == read else []
+
+
+def _unchecked(file: Path, closing: Closing | None, walk: Walk) -> Damage | None:
+    """Return that a file carries no checksum, which none of the loop lacks."""
+    if (closing is not None and closing.data is not None) or all(record.kind != MESSAGE for record in walk):
+        return None  # chunks have checksums of their own, which the reader checks
+    return Damage(f"{file} carries no checksum of its data: numbers that were damaged would not be noticed")
+
+
+def _readable(walk: Walk, size: int) -> int:
+    """Return where the records that can be read end."""
+    for _ in walk:
+        if walk.gaps:
+            break
+    return walk.gaps[0][0] if walk.gaps else size
