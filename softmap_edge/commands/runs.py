@@ -127,7 +127,8 @@ def check(args: argparse.Namespace) -> int:
         say = {"bundle": _bundle_lines, "sweep": sweep_sentences, "run": sentences}
         lines = say[document["kind"]](document)
         lines += effect_lines(document["effects"]) if args.bundle and document["kind"] == "run" else []
-        print("\n".join([f"{'sound' if document['sound'] else 'not sound':<10}{path}", *lines]))
+        state = "sound" if document["sound"] else "damaged" if found.get("fault") else "not sound"
+        print("\n".join([f"{state:<10}{path}", *lines]))
     return DONE if document["sound"] else FAULT
 
 
