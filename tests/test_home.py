@@ -170,9 +170,9 @@ def test_torque_goes_off_before_anybody_is_asked(wound, capsys, monkeypatch):
     "change, said",
     [
         (lambda bus, rig: bus.damage(0, mute=True), "servo 1: no answer at"),
-        (lambda bus, rig: bus.rename(0, 9), "servo 1: no answer at"),
+        (lambda bus, rig: bus.rename(0, 9), "servo 1: no answer, but id 9 answers, which the rig does not list"),
         (lambda bus, rig: bus.fail(0, 0x04), "it reports overheating"),
-        (lambda bus, rig: bus.faults(unpowered=True), "check power, wiring and baud rate"),
+        (lambda bus, rig: bus.faults(unpowered=True), "check power and wiring"),
     ],
 )
 def test_servos_that_are_not_well_are_not_homed(wound, capsys, change, said):

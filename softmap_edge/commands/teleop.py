@@ -101,7 +101,9 @@ def _drive(args: argparse.Namespace) -> int:
         kinematics = Kinematics(model, axes="xy" if args.tip else "xyz")
         aim: Aim = Tip(kinematics) if args.tip else Direct(kinematics)
         robot = stack.enter_context(
-            Controller(bench.rig, bench.calibration, bench.limits, kinematics=kinematics, record=args.record)
+            Controller(
+                bench.rig, bench.calibration, bench.limits, kinematics=kinematics, record=args.record, tell=to_stderr
+            )
         )
         show: Callable[[Any], None] | None = None
         if page is not None:

@@ -36,6 +36,7 @@ from softmap_edge.motion.kinematics import Kinematics
 from softmap_edge.servo import words
 from softmap_edge.servo.bench_limits import check_bench
 from softmap_edge.servo.ending import kept_words, numbers, running
+from softmap_edge.servo.known_state import gains_of
 from softmap_edge.servo.rig import Rig
 from softmap_edge.servo.watched import FROZEN, Watched
 from softmap_edge.ticks import Calibration
@@ -59,6 +60,8 @@ class Controller(Watched):
     CONNECTED, home is not asked for, and small slow moves are all that is allowed (`jog.py`). Leaving slackens and
     switches torque off, whatever happened. With `record` all that the loop hears, decides and sends goes to that file,
     which must not exist (`recording.py`); a disk that is full ends the recording and not the loop (`unrecorded`).
+    `tell` is given what a user should know of servos and bus, a line each: what a start wrote anew (`mended`), and at
+    the end answers that were lost, or that another program asked for (`bus`).
 
     Raises:
         ServoError: a limit is missing or out of range, the loop cannot start, or a request is denied; the message says
@@ -74,6 +77,7 @@ class Controller(Watched):
         kinematics: Kinematics | None = None,
         record: str | Path | None = None,
         commissioning: bool = False,
+        tell: Callable[[str], None] = lambda line: None,
     ) -> None:
         count = len(rig.servos)
         if len(calibration.b) != count or len(limits["servos"]) != count:
@@ -89,6 +93,7 @@ class Controller(Watched):
         if kinematics is not None and kinematics.model.channels != count:
             raise ServoError(f"the model takes {kinematics.model.channels} commands, the rig has {count} servos")
         self.kinematics = kinematics
+        self.tell = tell
         self._commissioning = commissioning
         self._record = None if record is None else Path(record)
         self._last: Report = {}
@@ -116,6 +121,8 @@ class Controller(Watched):
         except BaseException:
             self.close()
             raise
+        for line in self.mended:
+            self.tell(line)
         return self
 
     def __exit__(
@@ -134,6 +141,16 @@ class Controller(Watched):
     def recording(self) -> Path | None:
         """The file that is recorded to; it can be read while it grows."""
         return self._record
+
+    @property
+    def mended(self) -> list[str]:
+        """What this start wrote anew in the servos, a line each: registers that another program had left."""
+        return list(self._last.get("mended", []))
+
+    @property
+    def bus(self) -> dict[str, int]:
+        """How the questions on the bus went so far: answers `asked` for, `lost`, `damaged`, and `unasked` ones."""
+        return {name: int(self._last.get(name, 0)) for name in words.BUS}
 
     @property
     def unrecorded(self) -> str | None:
@@ -181,7 +198,8 @@ class Controller(Watched):
             f"'{name}' was not answered",
         )
         if denied := self._last.get("denied"):
-            raise ServoError(f"'{name}' is denied {words.where({'state': before})}: {words.denied(denied)}")
+            why = words.denied(denied, self._last)
+            raise ServoError(f"'{name}' is denied {words.where({'state': before})}: {why}")
         if reached is not None and self._last["state"] != reached:
             raise ServoError(f"'{name}' led elsewhere: the robot is {words.where(self._last)}")
 
@@ -273,6 +291,8 @@ class Controller(Watched):
             self._reader.join(3.0)
             if process.returncode != 0 and "error" not in self._last:
                 self._rescue(process)
+        if said := words.bus(self._last):
+            self.tell(said)
         left = self._end.get("kept_torque") if self._drove else None
         return ended, str(self._last.get("kept") or (kept_words(left) if left else ""))
 
@@ -289,6 +309,7 @@ class Controller(Watched):
             "baud": self.rig.baud,
             "servos": self.rig.numbers,
             "homes": None if self._commissioning else [servo.home for servo in self.rig.servos],
+            "gains": [gains_of(self.rig.made, servo.id) for servo in self.rig.servos],
             "limits": self.limits,
             "slope": self.calibration.A.reshape(-1).tolist(),
             "b": self.calibration.b.tolist(),
