@@ -134,7 +134,7 @@ def test_a_servo_that_restores_its_memory_proves_nothing(wound):
     ours = _core.ServoBus(bus.path, BAUD)
     ours.write(1, 60, b"\x02")
     ours.close()
-    with pytest.raises(ServoError, match="servo 1 restores its memory at power-up"):
+    with pytest.raises(ServoError, match="servo 1: startup configuration is 2, needed is 0; run"):
         drive(file)
 
 
