@@ -9,6 +9,7 @@ from softmap_edge.cli import main
 from softmap_edge.commissioning import setup
 from softmap_edge.errors import ServoError
 from softmap_edge.servo.bus import opened
+from softmap_edge.servo.examined import members, started
 from softmap_edge.servo.rig import Rig, RigServo, read_rig
 
 
@@ -116,3 +117,14 @@ def test_a_servo_that_does_not_answer_is_not_set_up():
     with pytest.raises(ServoError, match="servo 1: no answer; check power and wiring"):
         setup.set_up(found)
     bus.unplug()
+
+
+def test_the_command_that_is_named_leads_out_whatever_the_rig_allows():
+    """A rig that allows more than usual finds a limit too low that the usual cap would pass."""
+    with bench() as (bus, rig, _):
+        strong = Rig(rig.port, rig.baud, (RigServo(1, MODEL, HOME, current_mA=1500.0), rig.servos[1]))
+        leave(bus.path, BAUD, current_limit=700)
+        with pytest.raises(ServoError, match="its current limit .700 mA. is below the cap .1500 mA."):
+            started(rig.port, rig.baud, members(strong))
+        assert main(["servo", "setup", "--port", bus.path, "--baud", str(BAUD), "--id", "1"]) == 0
+        assert started(rig.port, rig.baud, members(strong)) == []

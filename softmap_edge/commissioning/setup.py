@@ -21,6 +21,7 @@ from softmap_edge.servo.known_state import (
     complaints,
     differing,
     holds,
+    most,
     needs,
     passing,
     setup_command,
@@ -78,7 +79,8 @@ def set_up(
 
     Args:
         found: the servo. new_id, new_baud: what it gets, where it gets another one.
-        tell: is told each thing that was mended, a line each. asked: what the rig asks of it.
+        tell: is told each thing that was mended, a line each. asked: what the rig asks of it; without one its limits
+            become those of a servo as delivered.
 
     Raises:
         ServoError: its model is unknown, its firmware has no watchdog, the id or rate is not one it can have, another
@@ -97,6 +99,7 @@ def set_up(
         raise ServoError(
             f"{model['name']} has no rate of {baud} baud; it has {', '.join(map(str, model['baud_rates']))}"
         )
+    asked = most(model) if asked is None else asked  # without a rig nothing binds more tightly than as delivered
     with opened(found.port, found.baud) as bus:
         if id != found.id:
             _check_free(bus, found, id)

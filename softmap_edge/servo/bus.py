@@ -74,9 +74,10 @@ def heard(bus: _core.ServoBus, id: int, address: int, size: int) -> bytes:
     try:
         return patiently(bus.read, id, address, size)
     except NoAnswer:
-        if pinged(bus, id) is not None:
-            raise NoAnswer(f"servo {id} {pings_only(bus.port, bus.baud, id)}") from None
-        raise NoAnswer(f"servo {id}: no answer; check power and wiring, `softmap doctor --rig FILE`") from None
+        from softmap_edge.servo.presence import muted
+
+        said = muted(bus, id)
+        raise NoAnswer(f"servo {id}{'' if said.startswith('answers') else ':'} {said}") from None
 
 
 def pings_only(port: str, baud: int, id: int) -> str:

@@ -12,10 +12,10 @@ from typing import Any
 
 from softmap_edge import _core
 from softmap_edge.errors import NoAnswer, ServoError
-from softmap_edge.servo.bus import opened, patiently, pinged, pings_only, registers
+from softmap_edge.servo.bus import opened, patiently, pinged, registers
 from softmap_edge.servo.known_state import Asked, Found, Need, Values, complaints, gains_of, passing, usual
 from softmap_edge.servo.models import numbered, servo_model
-from softmap_edge.servo.presence import shared, shares, why_silent
+from softmap_edge.servo.presence import muted, shared, shares, why_silent
 from softmap_edge.servo.rig import Rig
 
 
@@ -131,7 +131,7 @@ def _one(bus: _core.ServoBus, member: Member) -> Seen:
     try:
         values = registers(bus, member.id)
     except NoAnswer:
-        return Seen(member.id, found, (pings_only(bus.port, bus.baud, member.id),))
+        return Seen(member.id, found, (muted(bus, member.id),))
     wrong = complaints(found, values, member.asked)
     if bus.counts()["unasked"] > before and shared(bus, member.id):
         wrong.insert(0, shares(bus, member.id))

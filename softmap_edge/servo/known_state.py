@@ -86,6 +86,11 @@ def usual(model: Entry) -> Asked:
     return Asked(most, min(SLEW, slowed(model, most)))
 
 
+def most(model: Entry) -> Asked:
+    """Return the most that can be asked of a servo: what it gives as delivered."""
+    return Asked(strongest(model), float(model["fastest_ticks_per_s"]))
+
+
 def needs(model: Entry, asked: Asked | None = None) -> list[Need]:
     """Return what the registers of a servo must hold to be driven, in the order in which they are written.
 

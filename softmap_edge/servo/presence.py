@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 from softmap_edge import _core
 from softmap_edge.errors import NoAnswer, NoSuchRate
-from softmap_edge.servo.bus import opened, patiently, pings_only, rates
+from softmap_edge.servo.bus import opened, patiently, pinged, pings_only, rates
 from softmap_edge.servo.known_state import Found, setup_command
 
 LOOKS = 3  # times that it has to be seen: one glitch is no second servo
@@ -76,6 +76,17 @@ def why_silent(port: str, baud: int, id: int, listed: Collection[int] = ()) -> s
     return f"no answer at {port}, {baud} baud; check power and wiring, `softmap servo scan` lists who answers"
 
 
+def muted(bus: _core.ServoBus, id: int) -> str:
+    """Return why a servo has not answered about its registers, of a bus that is open."""
+    if shared(bus, id):
+        return shares(bus, id)
+    if _silent_reads(bus, id):
+        return pings_only(bus.port, bus.baud, id)
+    if pinged(bus, id) is not None:
+        return "its long answers are lost: the bus is disturbed, or two servos share its id; look at cables and ids"
+    return "no answer; check power and wiring, `softmap doctor --rig FILE` looks at more"
+
+
 def shares(bus: _core.ServoBus, id: int) -> str:
     """Return what is to be said of an id that two servos answer to."""
     run = setup_command(bus.port, bus.baud, id, " --new-id N")
@@ -86,7 +97,8 @@ def shared(bus: _core.ServoBus, id: int) -> bool:
     """Return whether a servo that answers is answered for by another one as well, again and again."""
     for _ in range(LOOKS):
         before = bus.counts()["unasked"]
-        bus.ping(id)
+        if bus.ping(id) is None:
+            return False
         time.sleep(SETTLES)
         bus.ping(id)
         if bus.counts()["unasked"] == before:
