@@ -93,14 +93,17 @@ def _read(args: argparse.Namespace) -> int:
     documents = []
     found, remarks = _find(args)
     well = not remarks
-    for servo in found:
-        values, said = _registers(servo)
+    shared = {servo.id for servo in found if [one.id for one in found].count(servo.id) > 1}
+    for servo in {(one.port, one.baud, one.id): one for one in found}.values():
+        values, said = ({}, []) if servo.id in shared else _registers(servo)
         well &= not said
         documents.append(_told(servo) | {"registers": values, "complaints": said})
         if not args.json:
             print(servo)
             print("".join(f"  {name.replace('_', ' '):<24} {value}\n" for name, value in values.items()), end="")
-            print("\n".join(f"  ! {line}" for line in said) or "  set up")
+            print(
+                "\n".join(f"  ! {line}" for line in said) or ("  set up" if values else "  its answers are not its own")
+            )
     if args.json:
         print(json.dumps({"schema": "softmap.servos/1", "servos": documents, "remarks": remarks}))
     else:
