@@ -1,16 +1,19 @@
 """Who answers and who does not: another rate, another id, an id that two share, pings only; each is named."""
 
+import json
 import re
 import shlex
+from dataclasses import replace
 
 import pytest
 from other_program import leave
 from rigs import BAUD, NUMBER, bench, calibration
 
-from softmap_edge import _core, doctor
+from softmap_edge import _core, builtin_model, doctor, save_bundle
 from softmap_edge.cli import main
 from softmap_edge.errors import NoAnswer, ServoError
 from softmap_edge.servo.bus import heard, opened
+from softmap_edge.servo.combined import combined
 from softmap_edge.servo.controller import Controller
 from softmap_edge.servo.examined import examined, members, refusal, started
 from softmap_edge.servo.presence import listened, why_silent
@@ -168,3 +171,33 @@ def test_what_is_gone_is_gone():
         assert re.fullmatch(said, why_silent(rig.port, rig.baud, 1, [1, 2]))
         bus.damage(0, mute=False)
         assert why_silent(rig.port, rig.baud, 1, [1, 2]).startswith("it answered late")
+
+
+def test_scan_and_read_look_for_the_servos_of_a_rig(tmp_path, capsys):
+    file = str(tmp_path / "rig.toml")
+    with bench() as (bus, rig, _):
+        rig.write(file)
+        assert main(["servo", "scan", "--rig", file]) == 0 and main(["servo", "read", "--rig", file]) == 0
+        bus.rename(0, 9)
+        capsys.readouterr()
+        for what in ("scan", "read"):
+            assert main(["servo", what, "--rig", file]) == 1
+            told = capsys.readouterr().out
+            assert "! servo 1: no answer, but id 9 answers, which the rig does not list; if it got another id" in told
+        assert main(["servo", "read", "--port", bus.path, "--baud", str(BAUD), "--id", "1"]) == 2
+        assert "but id 2, 9 answers; check which id it has" in capsys.readouterr().err
+        assert main(["servo", "scan", "--rig", file, "--json"]) == 1
+        assert "id 9 answers" in json.loads(capsys.readouterr().out)["remarks"][0]
+
+
+def test_the_doctor_holds_a_current_limit_against_the_limits_in_force(tmp_path):
+    """A limit below the usual cap and above that of the finger protects, and is no fault."""
+    model = replace(builtin_model(), calibration=calibration())
+    save_bundle(model, tmp_path / "finger")
+    with bench() as (bus, rig, _):
+        rig.write(tmp_path / "rig.toml")
+        cap = int(combined(rig, model).table()["servos"][0]["current"])
+        for limit, states in ((cap + 50, ["ok"]), (cap - 50, ["fault"])):
+            leave(bus.path, BAUD, current_limit=limit)
+            lines = doctor.examine(tmp_path / "rig.toml", tmp_path / "finger").lines
+            assert [line.state for line in lines if line.name == "servo 1"] == states, limit

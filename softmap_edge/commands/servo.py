@@ -23,10 +23,11 @@ from softmap_edge.experiment.recorded import open_run
 from softmap_edge.servo import words
 from softmap_edge.servo.bus import opened, ports, release
 from softmap_edge.servo.ending import kept_words
+from softmap_edge.servo.examined import members
 from softmap_edge.servo.known_state import differs, passing
 from softmap_edge.servo.presence import why_silent
 from softmap_edge.servo.recording import read_recording
-from softmap_edge.servo.rig import read_rig
+from softmap_edge.servo.rig import Rig, read_rig
 
 Declare = Callable[[argparse.ArgumentParser], None]
 Do = Callable[[argparse.Namespace], int]
@@ -48,7 +49,24 @@ def _ports(args: argparse.Namespace) -> list[str]:
     return found
 
 
+def _of_rig(args: argparse.Namespace) -> Rig | None:
+    """Return the bench of `--rig`, whose port and rate are looked at where no others are given."""
+    if args.rig is None:
+        return None
+    rig = read_rig(args.rig)
+    args.port, args.baud = args.port or rig.port, args.baud or rig.baud
+    return rig
+
+
+def _missing(rig: Rig | None, found: list[setup.Found]) -> list[str]:
+    """Return of each servo of the bench that did not answer why, a sentence each."""
+    listed = [] if rig is None else [servo.id for servo in rig.servos]
+    left = [id for id in listed if id not in [servo.id for servo in found]]
+    return [] if rig is None else [f"servo {id}: {why_silent(rig.port, rig.baud, id, listed)}" for id in left]
+
+
 def _scan(args: argparse.Namespace) -> int:
+    rig = _of_rig(args)
     found: list[setup.Found] = []
     remarks: list[str] = []
     for port in _ports(args):
@@ -57,9 +75,12 @@ def _scan(args: argparse.Namespace) -> int:
             remarks += heard.remarks
             if not args.json:
                 print("".join(f"{line}\n" for line in [*heard.found, *(f"  ! {one}" for one in heard.remarks)]), end="")
+    remarks += (missing := _missing(rig, found))
     if args.json:
         servos = [_told(servo) for servo in found]
         print(json.dumps({"schema": "softmap.servos/1", "servos": servos, "remarks": remarks}))
+    elif missing:
+        print("\n".join(f"  ! {one}" for one in missing))
     elif not found and not remarks:
         more = "" if args.baud is None else ", and without --baud every rate is tried"
         print(f"no servo answers; check its power and wiring{more}")
@@ -91,11 +112,14 @@ def _find(args: argparse.Namespace) -> tuple[list[setup.Found], list[str]]:
 
 def _read(args: argparse.Namespace) -> int:
     documents = []
+    rig = _of_rig(args)
     found, remarks = _find(args)
+    remarks += [] if args.id is not None else _missing(rig, found)
+    asked = {} if rig is None else {one.id: one.asked for one in members(rig)}
     well = not remarks
     shared = {servo.id for servo in found if [one.id for one in found].count(servo.id) > 1}
     for servo in {(one.port, one.baud, one.id): one for one in found}.values():
-        values, said = ({}, []) if servo.id in shared else _registers(servo)
+        values, said = ({}, []) if servo.id in shared else _registers(servo, asked.get(servo.id))
         well &= not said
         documents.append(_told(servo) | {"registers": values, "complaints": said})
         if not args.json:
@@ -111,15 +135,15 @@ def _read(args: argparse.Namespace) -> int:
     return 0 if well else OTHERWISE
 
 
-def _registers(servo: setup.Found) -> tuple[dict[str, int], list[str]]:
+def _registers(servo: setup.Found, asked: setup.Asked | None) -> tuple[dict[str, int], list[str]]:
     """Return what the registers of a servo hold, and what keeps it from being driven or is written anew by a start."""
     try:
         with opened(servo.port, servo.baud) as bus:
             values = setup.registers(bus, servo.id)
     except NoAnswer as fault:
         return {}, [str(fault)]
-    left = [differs(servo, need, values[need.register]) for need in passing(servo, values)]
-    return values, setup.complaints(servo, values) + [f"{one}; each start writes it anew" for one in left]
+    left = [differs(servo, need, values[need.register]) for need in passing(servo, values, asked)]
+    return values, setup.complaints(servo, values, asked) + [f"{one}; each start writes it anew" for one in left]
 
 
 def _setup(args: argparse.Namespace) -> int:
@@ -175,8 +199,13 @@ def _bus_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--baud", type=int, metavar="BAUD", help="one rate; every known one without it")
 
 
-def _read_arguments(parser: argparse.ArgumentParser) -> None:
+def _scan_arguments(parser: argparse.ArgumentParser) -> None:
     _bus_arguments(parser)
+    parser.add_argument("--rig", metavar="rig.toml", help="look for the servos of this bench")
+
+
+def _read_arguments(parser: argparse.ArgumentParser) -> None:
+    _scan_arguments(parser)
     parser.add_argument("--id", type=int, metavar="ID", help="one servo; all that answer without it")
 
 
@@ -194,7 +223,7 @@ def _off_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 ACTIONS: dict[str, tuple[str, Declare, Do]] = {
-    "scan": ("find ports, baud rates and servos", _bus_arguments, _scan),
+    "scan": ("find ports, baud rates and servos", _scan_arguments, _scan),
     "read": ("what a servo is, and what keeps it from being driven", _read_arguments, _read),
     "setup": ("make one servo ready, and note it in a rig.toml", _setup_arguments, _setup),
     "home": ("prove where the finger is straight, after each power-up", home_arguments, home),

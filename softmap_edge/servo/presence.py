@@ -69,9 +69,11 @@ def why_silent(port: str, baud: int, id: int, listed: Collection[int] = ()) -> s
         if dirty(bus, lambda: bus.ping(id)):
             return f"something answers and cannot be read: {_unreadable(bus)}"
     strangers = [one.id for one in heard.found if one.id not in listed]
-    if strangers and listed:
+    other = ", ".join(map(str, strangers))
+    if strangers and not listed:
+        return f"no answer at {port}, {baud} baud, but id {other} answers; check which id it has"
+    if strangers:
         run = setup_command(port, baud, strangers[0], f" --new-id {id} --rig FILE")
-        other = ", ".join(map(str, strangers))
         return f"no answer, but id {other} answers, which the rig does not list; if it got another id, run {run}"
     return f"no answer at {port}, {baud} baud; check power and wiring, `softmap servo scan` lists who answers"
 
