@@ -143,7 +143,7 @@ def _registers(servo: setup.Found, asked: setup.Asked | None) -> tuple[dict[str,
     except NoAnswer as fault:
         return {}, [str(fault)]
     left = [differs(servo, need, values[need.register]) for need in passing(servo, values, asked)]
-    return values, setup.complaints(servo, values, asked) + [f"{one}; each start writes it anew" for one in left]
+    return values, setup.complaints(servo, values, asked) + [f"{one}; each start writes it again" for one in left]
 
 
 def _setup(args: argparse.Namespace) -> int:

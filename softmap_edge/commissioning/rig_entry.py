@@ -80,7 +80,7 @@ def entered(entry: Entry, done: Found, gains: Sequence[int]) -> Rig:
 
 
 def changes(entry: Entry, found: Found, done: Found, file: str | Path) -> list[str]:
-    """Return what changes in the rig `file` beside the servo itself, a line each."""
+    """Return what changes in the rig `file` along with the servo itself, a line each."""
     if entry.rig is None:
         return []
     ids = [servo.id for servo in entry.rig.servos]
@@ -88,7 +88,7 @@ def changes(entry: Entry, found: Found, done: Found, file: str | Path) -> list[s
     for one in entry.rig.servos:
         held = {"home": one.home, "measured current": one.current_mA} if one.id == entry.listed else {}
         if names := [name for name, value in held.items() if value is not None]:
-            said.append(f"{file} held its {' and '.join(names)}: taken out, to be found anew")
+            said.append(f"{file} held its {' and '.join(names)}: taken out, to be found again")
     if found.id != done.id and entry.listed == found.id:
         said.append(
             f"{file}: servo {found.id} is servo {done.id} now and keeps its place, command {ids.index(found.id) + 1}"

@@ -105,7 +105,7 @@ def set_up(
             _check_free(bus, found, id)
         _answering(bus, found.id, tell)
         _made_ready(bus, found, model, tell, asked)
-        set_mark(bus, found.id, None)  # another mode counts turns anew
+        set_mark(bus, found.id, None)  # another mode counts turns from zero again
         if id != found.id:
             _write(bus, found.id, "id", id)
         if baud != found.baud:
@@ -166,7 +166,7 @@ def _answering(bus: _core.ServoBus, id: int, tell: Callable[[str], None]) -> Non
 def _made_ready(
     bus: _core.ServoBus, found: Found, model: Entry, tell: Callable[[str], None], asked: Asked | None
 ) -> None:
-    """Write what differs, torque off; the servo chooses its gains anew, as it does with each new operating mode."""
+    """Write what differs, torque off; the servo chooses its gains again, as it does with each new operating mode."""
     before = registers(bus, found.id)
     if before["torque_enable"]:
         tell("its torque was on: it is off")

@@ -145,7 +145,7 @@ def _servos(bench: Rig, asked: list[Member]) -> Iterator[Line]:
             continue
         for need in one.passing:
             said = differs(found, need, one.values[need.register])
-            yield Line(name, WARNING, said, "each start writes it anew")
+            yield Line(name, WARNING, said, "each start writes it again")
         if not one.wrong and not one.passing:
             yield Line(name, OK, f"{servo.model}, firmware {found.firmware}, set up")
         yield _home(bench, servo)

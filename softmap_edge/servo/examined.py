@@ -1,4 +1,4 @@
-"""The servos of a rig, asked one by one: what each is, what keeps it from being driven, what a start writes anew.
+"""The servos of a rig, asked one by one: what each is, what keeps it from being driven, what a start writes again.
 
 Homing, the doctor and each start (`loop.py`) ask here, so that all of them find the same. Pinned by
 tests/test_known_state.py and tests/test_presence.py.
@@ -31,7 +31,7 @@ class Member:
 @dataclass(frozen=True)
 class Seen:
     """What answers in the place of a servo (None: nothing), and what keeps it from being driven, a sentence each: what
-    was found, and behind "; " what to do. `passing` are registers that a start writes anew."""
+    was found, and behind "; " what to do. `passing` are registers that a start writes again."""
 
     id: int
     found: Found | None
@@ -101,7 +101,7 @@ def started(port: str, baud: int, asked: Sequence[Member]) -> list[str]:
     """Refuse servos that are not as they must be; write registers that pass with the power as they must be.
 
     Returns:
-        What was written anew, a line each.
+        What was written again, a line each.
 
     Raises:
         ServoError: a servo is not as it must be, or does not answer; the line says what mends it.

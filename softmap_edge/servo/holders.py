@@ -58,7 +58,7 @@ def check_alone(port: str) -> None:
 
 
 def _others(proc: Path) -> list[int]:
-    """Return the processes beside this one."""
+    """Return all processes but this one."""
     try:
         return sorted({int(name) for name in os.listdir(proc) if name.isdigit()} - {os.getpid()})
     except OSError:
