@@ -273,7 +273,7 @@ def test_with_nobody_left_the_watchdogs_stop_and_hold_and_the_next_start_says_so
     user.wait()
     rig = Rig(bus.path, 1_000_000, tuple(RigServo(id, "XL330-M288", HOME) for id in (1, 2)))
     limits = loop_limits([servo_limits("XL330-M288", HOME, (-900, 900))] * 2)
-    with pytest.raises(ServoError, match="servo 1 has torque already: another program drives it, or one died"):
+    with pytest.raises(ServoError, match="servo 1: its torque is on: another program drives it, or one died"):
         Controller(rig, calibration(), limits).__enter__()
     assert main(["servo", "off", "--port", bus.path, "--baud", "1000000"]) == 0
     assert all(tripped for _, _, tripped, _ in bus.state()[1]), "torque off alone clears no watchdog"
@@ -303,20 +303,24 @@ def test_servos_that_are_not_as_said_are_refused():
         ours = _core.ServoBus(bus.path, rig.baud)
         ours.write(2, 64, b"\x01")
         ours.close()
-        with pytest.raises(ServoError, match="servo 2 has torque already"):
+        with pytest.raises(ServoError, match="servo 2: its torque is on"):
             Controller(rig, calibration(), limits).__enter__()
         set_up(bus.path)
         ours = _core.ServoBus(bus.path, rig.baud)
         ours.write(1, 11, b"\x03")
         ours.close()
-        with pytest.raises(ServoError, match="servo 1 is in mode 3 .* `softmap servo setup`"):
+        with pytest.raises(
+            ServoError, match=r"servo 1: operating mode is 3 \(position\), needed is 5; run `softmap servo setup --port"
+        ):
             Controller(rig, calibration(), limits).__enter__()
         set_up(bus.path)
         other = Rig(rig.port, rig.baud, (RigServo(1, "XM430-W210", HOME), rig.servos[1]))
-        with pytest.raises(ServoError, match=r"servo 1 is XL330-M288 \(1200\), expected XM430-W210"):
+        with pytest.raises(ServoError, match=r"servo 1: it is XL330-M288 \(1200\), the rig says XM430-W210"):
             Controller(other, calibration(), limits).__enter__()
         absent = Rig(rig.port, rig.baud, (RigServo(7, "XL330-M288", HOME), rig.servos[1]))
-        with pytest.raises(ServoError, match="servo 7: no answer; check power"):
+        with pytest.raises(
+            ServoError, match="servo 7: no answer, but id 1 answers, which the rig does not list; .*--id 1 --new-id 7"
+        ):
             Controller(absent, calibration(), limits).__enter__()
         with pytest.raises(ServoError, match="no such port"):
             Controller(Rig("/dev/ttyNONE", rig.baud, rig.servos), calibration(), limits).__enter__()

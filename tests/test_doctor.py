@@ -60,8 +60,8 @@ def test_a_bench_that_is_well(tmp_path, capsys, any_computer):
     [
         (lambda bus: bus.damage(0, mute=True), "servo 1", "no answer", "check power"),
         (lambda bus: bus.reset(1), "home of servo 2", "home is not proved since power-up", "softmap servo home"),
-        (lambda bus: bus.fail(1, 0x20), "servo 2", "it reports overload", "find the cause"),
-        (lambda bus: bus.rename(0, 9), "servo 1", "no answer", "softmap servo scan"),
+        (lambda bus: bus.fail(1, 0x20), "servo 2", "it reports overload", "softmap servo reboot"),
+        (lambda bus: bus.rename(0, 9), "servo 1", "no answer, but id 9 answers", "--id 9 --new-id 1"),
         (lambda bus: bus.unplug(), "bus", "no such port", "softmap servo scan"),
     ],
 )
@@ -79,6 +79,9 @@ def test_a_bench_that_is_not(tmp_path, breaks, name, found, do):
         assert line.state == FAULT and do in line.do and not examined.well
 
 
+ON = "its torque is on: another program drives it, or one died"
+
+
 def test_torque_that_is_on_is_told_and_left_on(tmp_path):
     with bench() as (bus, rig, _):
         ours = _core.ServoBus(bus.path, rig.baud)
@@ -86,7 +89,7 @@ def test_torque_that_is_on_is_told_and_left_on(tmp_path):
         ours.close()
         rig.write(tmp_path / "rig.toml")
         line = named(doctor.examine(rig=tmp_path / "rig.toml").lines, "servo 1")
-        assert line == doctor.Line("servo 1", FAULT, "its torque is on", "`softmap servo off` releases it")
+        assert line == doctor.Line("servo 1", FAULT, ON, "`softmap servo off` releases it")
         assert torque(bus)
 
 

@@ -14,9 +14,10 @@ from dataclasses import replace
 import pytest
 from command import SOFTMAP
 from emulated_robot import emulated
-from rigs import HOME, TICKS_PER_MM, angles, bench, torque
+from rigs import HOME, TICKS_PER_MM, angles, bench, calibration, torque
 from waiting import until
 
+from softmap_edge import builtin_model, save_bundle
 from softmap_edge.cli import main
 from softmap_edge.commands.move import STEP
 from softmap_edge.commissioning import setup
@@ -293,3 +294,49 @@ def test_the_documented_bench_goes_through_its_window_at_full_speed(tmp_path, co
         )  # fmt: skip
     assert moved.returncode == 0, moved.stderr
     assert "fault" not in moved.stdout + moved.stderr
+
+
+@pytest.fixture
+def weak(tmp_path):
+    """Give a rig whose cap carries the load of some 150 ticks only (0.4 mA a tick), and a bundle; nothing faults."""
+    save_bundle(replace(builtin_model(), calibration=calibration()), tmp_path / "finger")
+    with bench() as (bus, rig, _):
+        servos = tuple(replace(one, current_mA=60.0) for one in rig.servos)
+        replace(rig, servos=servos).write(tmp_path / "rig.toml")
+        yield bus, str(tmp_path / "rig.toml"), str(tmp_path / "finger")
+
+
+@pytest.mark.parametrize("command, servos", [("1,0", "1"), ("0,-1.2", "2"), ("-1,1", "12")])
+def test_a_command_that_is_not_reached_is_no_success(weak, capsys, command, servos):
+    _, rig, bundle = weak
+    argv = ["move", f"--rig={rig}", "--bundle", bundle, "--hold", "--seconds", "0.2"]
+    assert main([*argv, "--json", "--", command]) == 1
+    told = capsys.readouterr()
+    document = json.loads(told.out)
+    assert [one in document["short"] for one in ("servo 1 stands", "servo 2 stands")] == ["1" in servos, "2" in servos]
+    assert "allowed are 25, under at most 60 mA" in told.err and "softmap servo pull" in told.err
+    assert main([*argv, "--", command]) == 1
+    assert "came only to" in capsys.readouterr().out
+
+
+def test_a_command_that_is_reached_under_the_same_cap_is_one(weak, capsys):
+    _, rig, bundle = weak
+    assert main(["move", "0.3,-0.3", "--rig", rig, "--bundle", bundle, "--hold", "--seconds", "0.2"]) == 0
+    assert "came to" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("by, code", [("280", 1), ("-280", 1), ("100", 0)])
+def test_a_jog_that_is_not_reached_is_no_success(weak, capsys, by, code):
+    _, rig, _ = weak
+    assert main(["move", "--rig", rig, "--servo", "2", f"--by={by}", "--hold"]) == code
+    told = capsys.readouterr()
+    assert ("servo 2 stands" in told.err) == (code == 1) and "servo 1 stands" not in told.err
+    assert "torque is off" in told.out
+
+
+def test_a_jog_blocked_on_its_way_is_no_success(capsys, tmp_path):
+    with bench() as (bus, rig, _):
+        rig.write(tmp_path / "rig.toml")
+        bus.damage(0, jammed=True)
+        assert main(["move", "--rig", str(tmp_path / "rig.toml"), "--servo", "1", "--by", "200", "--hold"]) != 0
+        assert "servo 1" in capsys.readouterr().err and angles(bus)[0] == pytest.approx(HOME, abs=1)

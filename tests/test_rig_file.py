@@ -128,7 +128,7 @@ def test_setting_up_anew_takes_what_was_found_says_so_and_leaves_what_was_writte
     assert main(["servo", "setup", "--port", bus.path, "--baud", str(BAUD), "--id", "1", "--rig", str(file)]) == 0
     text = file.read_text()
     assert "home" not in text.split("[made.homed]")[0] and "current_mA" not in text
-    assert f"{file} held its home and measured current: taken out, to be found anew" in capsys.readouterr().out
+    assert f"{file} held its home and measured current: taken out, to be found again" in capsys.readouterr().out
     assert "# new in June" in text and "# measured in May" in text and "# ours\n" in text
 
 

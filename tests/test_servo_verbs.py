@@ -84,6 +84,11 @@ def setting(bus, **changed):
             port.write(1, address, value.to_bytes(size, "little", signed=value < 0))
 
 
+def mends(bus):
+    """Return the command that sets servo 1 up."""
+    return f"`softmap servo setup --port {bus.path} --baud 57600 --id 1`"
+
+
 @pytest.mark.parametrize("firmware, runs_on", [(46, False), (42, False), (41, True), (38, True)])
 @pytest.mark.parametrize("number, counts", [(XL330, 5), (XL430, 4)])
 @pytest.mark.parametrize("mode", [3, 4, 5])
@@ -96,7 +101,7 @@ def test_a_homing_offset_is_mended_whatever_mode_and_firmware(number, counts, mo
     with opened(bus.path, 57_600) as port:
         complaints = setup.complaints(found, setup.registers(port, 1))
     wrong = [line for line in complaints if line.startswith("homing offset is 1000")]
-    assert len(wrong) == 1 and wrong[0].endswith("needed is 0; `softmap servo setup`")
+    assert len(wrong) == 1 and wrong[0].endswith(f"needed is 0; run {mends(bus)}")
     assert (f"firmware {firmware} lets the motor run on when its watchdog trips in mode 4" in wrong[0]) == runs_on
     done = setup.set_up(found, tell=said.append)
     with opened(bus.path, 57_600) as port:

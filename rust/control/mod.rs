@@ -81,7 +81,8 @@ pub fn serve(setup: Setup, plan: impl Plan, orders: OwnedFd, reports: OwnedFd) -
         Recording::begin(&path, &setup, monotonic(), sizes.0, sizes.1)
     };
     let recording = setup.record.map(begin).transpose()?;
-    let reporter = Reporter::start(receiver, reports, recording, sizes, &warnings);
+    let ids = setup.members.iter().map(|member| member.id).collect();
+    let reporter = Reporter::start(receiver, reports, recording, ids, sizes.1, &warnings);
     let guard = Guard::new(setup.limits);
     let record = Ring::new(sender);
     let control = Control::new(drive, guard, plan, mailbox, record);

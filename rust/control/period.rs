@@ -21,6 +21,11 @@ pub struct Period {
     /// How the bus failed.
     bus: Option<String>,
     overruns: u64,
+    /// Answers so far that were asked for, that did not come, that were damaged, and that nothing here asked for.
+    asked: u64,
+    lost: u64,
+    damaged: u64,
+    unasked: u64,
     goal: Vec<Option<i32>>,
     position: Vec<Option<i32>>,
     #[serde(rename = "current_mA")]
@@ -45,6 +50,10 @@ impl Period {
             emergency: entry.orders.emergency,
             bus: entry.fault.map(|fault| fault.to_string()),
             overruns: entry.overruns,
+            asked: entry.counts.asked,
+            lost: entry.counts.silent,
+            damaged: entry.counts.damaged,
+            unasked: entry.counts.unasked,
             goal: goals.map(|goal| output.torque.then_some(*goal)).collect(),
             position: sensed(entry, servos, |said| Some(said.position)),
             current: sensed(entry, servos, |said| said.current),

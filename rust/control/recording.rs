@@ -262,7 +262,10 @@ fn schema_of(servos: usize, commands: usize) -> Value {
         json!({"type": "boolean"}),
     );
     let forms = [
-        (integer, "now sent late_ns took_ns overruns"),
+        (
+            integer,
+            "now sent late_ns took_ns overruns asked lost damaged unasked",
+        ),
         (text, "state cause request denied bus"),
         (flag, "heard deadman emergency torque refused"),
         (

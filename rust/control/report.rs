@@ -73,7 +73,8 @@ impl Reporter {
         mut ring: rtrb::Consumer<Entry>,
         pipe: OwnedFd,
         mut recording: Option<Recording>,
-        (servos, commands): (usize, usize),
+        ids: Vec<u8>,
+        commands: usize,
         warnings: &[String],
     ) -> Reporter {
         if let Ok(flags) = fcntl_getfl(&pipe) {
@@ -86,9 +87,14 @@ impl Reporter {
         let thread = std::thread::spawn(move || {
             say(&pipe, &begin);
             let (mut told, mut state) = (0, None);
+            let mut hardware = vec![None; ids.len()];
             loop {
                 let last = stopped.load(Ordering::Relaxed);
                 while let Ok(entry) = ring.pop() {
+                    for (known, said) in hardware.iter_mut().zip(&entry.feedback) {
+                        let health = said.and_then(|said| said.health);
+                        *known = health.map_or(*known, |health| Some(health.hardware));
+                    }
                     if let Some(Err(fault)) =
                         recording.as_mut().map(|open| open.add(&entry, commands))
                     {
@@ -101,7 +107,7 @@ impl Reporter {
                         state != Some(output.state) || output.denied.is_some() || output.refused;
                     if news || entry.now.saturating_sub(told) >= OFTEN {
                         (told, state) = (entry.now, Some(output.state));
-                        say(&pipe, &Told::of(&entry, servos));
+                        say(&pipe, &Told::of(&entry, &ids, &hardware));
                     }
                 }
                 if last {
@@ -163,11 +169,16 @@ fn say(pipe: &OwnedFd, document: &impl Serialize) -> bool {
 
 /// What a report says of a period beside what a recording says too.
 #[derive(Serialize)]
-struct Told {
+struct Told<'a> {
     schema: &'static str,
     /// s.
     t: f64,
     servo: Option<u8>,
+    /// Its id.
+    id: Option<u8>,
+    ids: &'a [u8],
+    /// Bits of the hardware errors of each servo, as it said them last.
+    hardware: &'a [Option<u8>],
     jumped: bool,
     outside: bool,
     slowed: bool,
@@ -175,17 +186,20 @@ struct Told {
     period: Period,
 }
 
-impl Told {
-    fn of(entry: &Entry, servos: usize) -> Told {
+impl Told<'_> {
+    fn of<'a>(entry: &Entry, ids: &'a [u8], hardware: &'a [Option<u8>]) -> Told<'a> {
         let output = &entry.output;
         Told {
             schema: SCHEMA,
             t: entry.now as f64 * 1e-9,
             servo: output.servo,
+            id: output.servo.and_then(|k| ids.get(usize::from(k)).copied()),
+            ids,
+            hardware,
             jumped: output.jumped,
             outside: output.outside,
             slowed: output.slowed,
-            period: Period::of(entry, servos),
+            period: Period::of(entry, ids.len()),
         }
     }
 }

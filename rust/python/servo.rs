@@ -6,7 +6,7 @@ use pyo3::types::{PyBytes, PyDict};
 use softmap_servo::bus::{Bus, Fault, SLACK};
 use softmap_servo::decoder::Decoder;
 use softmap_servo::packet::{LONGEST, packet};
-use softmap_servo::registers::MODELS;
+use softmap_servo::registers::{FULL_PWM, MODELS};
 use softmap_servo::serial::{OpenFault, Serial};
 use std::sync::{Mutex, PoisonError};
 
@@ -78,6 +78,9 @@ pub fn servo_models<'py>(py: Python<'py>) -> PyResult<Vec<Bound<'py, PyDict>>> {
             model.cap(0.0).0.name.replace(' ', "_").to_lowercase(),
         )?;
         told.set_item("operating_mode", model.driven_in())?;
+        told.set_item("current_limit", model.current_limit)?;
+        told.set_item("velocity_limit", model.velocity_limit)?;
+        told.set_item("pwm_limit", FULL_PWM)?;
         Ok(told)
     };
     MODELS.iter().map(one).collect()
@@ -98,6 +101,11 @@ pub fn servo_registers<'py>(py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
 #[pyclass(name = "ServoBus", module = "softmap_edge._core", frozen)]
 pub struct PyServoBus {
     bus: Mutex<Option<Bus<Serial>>>,
+    /// The device, and its rate.
+    #[pyo3(get)]
+    port: String,
+    #[pyo3(get)]
+    baud: u32,
 }
 
 impl PyServoBus {
@@ -137,6 +145,8 @@ impl PyServoBus {
         let bus = Bus::new(serial, baud, ((slack * 1e9) as u64).max(SLACK / 4));
         Ok(PyServoBus {
             bus: Mutex::new(Some(bus)),
+            port: port.to_owned(),
+            baud,
         })
     }
 
@@ -150,6 +160,24 @@ impl PyServoBus {
                     .take(),
             )
         });
+    }
+
+    /// How questions went so far: answers asked for, silent, damaged, late, unasked (of another program, or of a second
+    /// servo with the same id), and bytes that belonged to no packet (skipped).
+    fn counts<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+        let counts = self.ask(py, |bus| Ok(bus.counts()))?;
+        let told = PyDict::new(py);
+        for (name, count) in [
+            ("asked", counts.asked),
+            ("silent", counts.silent),
+            ("damaged", counts.damaged),
+            ("late", counts.late),
+            ("unasked", counts.unasked),
+            ("skipped", counts.skipped),
+        ] {
+            told.set_item(name, count)?;
+        }
+        Ok(told)
     }
 
     /// Model number and firmware of a servo; None if it does not answer.

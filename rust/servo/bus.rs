@@ -70,7 +70,53 @@ pub struct Counts {
     pub silent: u64,
     pub damaged: u64,
     pub skipped: u64,
+    /// Answers that came after their time.
+    pub late: u64,
+    /// Answers that nothing here asked for: of another program's questions, or of a second servo with the same id.
+    pub unasked: u64,
 }
+
+/// Questions without an answer that are remembered: an answer may come after its time.
+const REMEMBERED: usize = 32;
+
+/// Whose answers, of how many bytes, are still owed.
+#[derive(Debug, Clone, Copy, Default)]
+struct Owed {
+    id: u8,
+    size: usize,
+    count: u32,
+}
+
+/// What is still owed, and where the next one is remembered.
+#[derive(Debug, Clone, Copy, Default)]
+struct Debts([Owed; REMEMBERED], usize);
+
+impl Debts {
+    fn add(&mut self, id: u8, size: usize) {
+        let known = self
+            .0
+            .iter()
+            .position(|one| (one.id, one.size) == (id, size));
+        let place = known.unwrap_or(self.1);
+        if known.is_none() {
+            self.1 = (self.1 + 1) % REMEMBERED;
+            self.0[place] = Owed { id, size, count: 0 };
+        }
+        self.0[place].count = self.0[place].count.saturating_add(1);
+    }
+
+    /// Whether such an answer was owed; it is not any more.
+    fn pay(&mut self, id: u8, size: usize) -> bool {
+        let owed = |one: &&mut Owed| (one.id, one.size) == (id, size) && one.count > 0;
+        self.0.iter_mut().find(owed).is_some_and(|one| {
+            one.count -= 1;
+            true
+        })
+    }
+}
+
+/// Reads of what waits before a question, at most: whoever talks without end keeps nothing from being asked.
+const MOST_READS: usize = 64;
 
 /// ns that a servo waits for each lower id when everybody is asked.
 const PAUSE: u64 = 3_000_000;
@@ -88,6 +134,7 @@ pub struct Bus<P> {
     quiet: u64,
     decoder: Decoder,
     counts: Counts,
+    owed: Debts,
 }
 
 impl<P: Port> Bus<P> {
@@ -100,6 +147,7 @@ impl<P: Port> Bus<P> {
             quiet: 0,
             decoder: Decoder::default(),
             counts: Counts::default(),
+            owed: Debts::default(),
         }
     }
 
@@ -141,6 +189,9 @@ impl<P: Port> Bus<P> {
         loop {
             let received = self.port.receive(&mut some, until)?;
             if received == 0 {
+                // What began and never became a packet was not read either.
+                self.decoder.skipped += self.decoder.waiting().len() as u64;
+                self.decoder.clear();
                 return Ok(());
             }
             self.decoder.push(&some[..received]);
@@ -248,7 +299,7 @@ impl<P: Port> Bus<P> {
         } else {
             self.collect(ids, size, data, heard, until)
         };
-        self.note(heard);
+        self.note(ids, size, heard);
         found
     }
 
@@ -262,11 +313,18 @@ impl<P: Port> Bus<P> {
         let until = self.port.now() + self.wire(packet.len() + longest(data.len())) + self.slack;
         let mut heard = [Err(Fault::Silent)];
         let found = self.collect(&[id], data.len(), data, &mut heard, until);
-        self.note(&heard);
+        self.note(&[id], data.len(), &heard);
         found.and(heard[0])
     }
 
-    fn note(&mut self, heard: &[Heard]) {
+    fn note(&mut self, ids: &[u8], size: usize, heard: &[Heard]) {
+        for (id, _) in ids
+            .iter()
+            .zip(heard)
+            .filter(|(_, one)| **one == Err(Fault::Silent))
+        {
+            self.owed.add(*id, size);
+        }
         let silent = heard
             .iter()
             .filter(|one| **one == Err(Fault::Silent))
@@ -280,11 +338,34 @@ impl<P: Port> Bus<P> {
 
     fn send(&mut self, packet: &[u8]) -> Result<(), Fault> {
         let mut lost = [0; 256];
-        while self.port.now() < self.quiet && self.port.receive(&mut lost, self.quiet)? > 0 {}
+        for _ in 0..MOST_READS {
+            let until = self.port.now().max(self.quiet);
+            let count = self.port.receive(&mut lost, until)?;
+            if count == 0 {
+                break;
+            }
+            self.decoder.push(&lost[..count]);
+            self.count_unasked();
+        }
         self.port.discard()?;
+        self.decoder.skipped += self.decoder.waiting().len() as u64;
         self.decoder.clear();
         let until = self.port.now() + self.wire(packet.len()) + self.slack;
         Ok(self.port.send(packet, until)?)
+    }
+
+    /// Count the answers among what was received that no question waits for.
+    fn count_unasked(&mut self) {
+        while let Some(packet) = self.decoder.next(LONGEST) {
+            // An answer of all servos in one packet was read where it stood.
+            if let Some((_, body)) = packet.status()
+                && packet.id != BROADCAST
+            {
+                let late = self.owed.pay(packet.id, body.len());
+                self.counts.late += u64::from(late);
+                self.counts.unasked += u64::from(!late);
+            }
+        }
     }
 
     fn collect(
@@ -304,14 +385,20 @@ impl<P: Port> Bus<P> {
             }
             self.decoder.push(&some[..count]);
             while let Some(packet) = self.decoder.next(longest(size)) {
-                let place = ids.iter().position(|id| *id == packet.id);
-                let (Some(place), Some((error, body))) = (place, packet.status()) else {
+                let Some((error, body)) = packet.status() else {
                     continue;
                 };
                 let refused = error & !ALERT != 0;
-                if heard[place] != Err(Fault::Silent) || !refused && body.len() != size {
+                let fits = |place: &usize| {
+                    heard[*place] == Err(Fault::Silent) && (refused || body.len() == size)
+                };
+                let place = ids.iter().position(|id| *id == packet.id).filter(fits);
+                let Some(place) = place else {
+                    let late = self.owed.pay(packet.id, body.len());
+                    self.counts.late += u64::from(late);
+                    self.counts.unasked += u64::from(!late);
                     continue;
-                }
+                };
                 heard[place] = if refused {
                     Err(Fault::Refused(error & !ALERT))
                 } else {
@@ -356,7 +443,10 @@ impl<P: Port> Bus<P> {
         }
         if found < ids.len() && !self.decoder.waiting().is_empty() {
             self.decoder.damaged += 1;
+        } else {
+            self.count_unasked();
         }
+        self.decoder.clear();
         Ok(())
     }
 }

@@ -227,7 +227,39 @@ fn a_terminal_that_slept_takes_it_for_no_silence_of_the_master() {
     assert_eq!(ask(&mut bus), 255, "it was not");
 }
 
-/// A port that keeps what is sent and gives one answer.
+#[test]
+fn answers_that_nothing_here_asked_for_are_counted_and_late_ones_are_told_apart() {
+    let mut bus = bus(&[1, 2]);
+    assert_eq!(bus.ping(1), Ok((1200, 46)));
+    // Another program on the same wire: its answers are waiting when the next question is sent.
+    let mut buffer = [0; LONGEST];
+    let foreign = crate::packet::packet(&mut buffer, 1, instruction::WRITE, &[65, 0, 1]).unwrap();
+    let now = bus.port().seconds();
+    bus.port().emulator.hear(foreign, now);
+    bus.port().pass(0.01);
+    assert_eq!(bus.ping(2), Ok((1200, 46)));
+    assert_eq!((bus.counts().unasked, bus.counts().late), (1, 0));
+    // An answer that comes after its time was asked for.
+    bus.port().emulator.set_faults(Faults {
+        slow: 0.05,
+        ..Faults::default()
+    });
+    assert_eq!(bus.ping(1), Err(Fault::Silent));
+    bus.port().emulator.set_faults(Faults::default());
+    bus.port().pass(0.1);
+    assert_eq!(bus.ping(1), Ok((1200, 46)));
+    assert_eq!((bus.counts().unasked, bus.counts().late), (1, 1));
+    // Two that call themselves the same and answer one after the other.
+    let delay = X_SERIES.return_delay.address;
+    assert_eq!(bus.write(2, delay, &[0]), FINE);
+    bus.port().emulator.servos[1].set_id(1);
+    assert_eq!(bus.ping(1), Ok((1200, 46)));
+    bus.port().pass(0.01);
+    assert_eq!(bus.ping(3), Err(Fault::Silent));
+    assert_eq!(bus.counts().unasked, 2);
+}
+
+/// A port that keeps what is sent and gives one answer to it.
 struct Tape {
     sent: Vec<u8>,
     answer: Vec<u8>,
@@ -246,6 +278,9 @@ impl Port for Tape {
     }
 
     fn receive(&mut self, into: &mut [u8], _until: u64) -> Result<usize, PortFault> {
+        if self.sent.is_empty() {
+            return Ok(0);
+        }
         let count = self.answer.len();
         into[..count].copy_from_slice(&self.answer);
         self.answer.clear();

@@ -3,7 +3,7 @@
 //! Newest target wins. A period that is missed is counted and skipped, never made up. What the user sends are commands of
 //! the finger (mm); how they become ticks is the planner's, which also hears what was really sent (its effects remember).
 
-use crate::bus::{Fault, Port};
+use crate::bus::{Counts, Fault, Port};
 use crate::drive::Drive;
 use crate::guard::reversals::Reversals;
 use crate::guard::{Feedback, Guard, Input, MOST_SERVOS, Message, Output, Request};
@@ -62,6 +62,8 @@ pub struct Entry {
     pub fault: Option<Fault>,
     /// Periods that were missed so far.
     pub overruns: u64,
+    /// How questions went so far.
+    pub counts: Counts,
 }
 
 /// Where entries go.
@@ -194,6 +196,7 @@ impl<P: Port, L: Plan, M: Mailbox, R: Record> Control<P, L, M, R> {
             took: self.drive.bus().port().now() - begun,
             fault,
             overruns: self.timing.overruns,
+            counts: self.drive.bus().counts(),
         };
         entry.targets[..self.targets.len()].copy_from_slice(&self.targets);
         entry.goals[..self.targets.len()].copy_from_slice(self.guard.goals());

@@ -85,6 +85,11 @@ layout! {
     led
     status_return
     hardware_error
+    position_d
+    position_i
+    position_p
+    feedforward_2
+    feedforward_1
     bus_watchdog
     goal_pwm
     goal_current
@@ -131,6 +136,11 @@ pub const X_SERIES: Layout = Layout {
     led: ram("LED", 65, 1),
     status_return: ram("status return level", 68, 1),
     hardware_error: told("hardware error status", 70, 1),
+    position_d: ram("position D gain", 80, 2),
+    position_i: ram("position I gain", 82, 2),
+    position_p: ram("position P gain", 84, 2),
+    feedforward_2: ram("feedforward 2nd gain", 88, 2),
+    feedforward_1: ram("feedforward 1st gain", 90, 2),
     bus_watchdog: ram("bus watchdog", 98, 1),
     goal_pwm: ram("goal PWM", 100, 2),
     goal_current: ram("goal current", 102, 2),

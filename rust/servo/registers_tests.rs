@@ -32,7 +32,7 @@ fn registers_lie_behind_one_another_and_what_is_kept_lies_before_torque() {
         };
         assert_eq!(made, *register);
     }
-    assert_eq!(X_SERIES.all().count(), 37);
+    assert_eq!(X_SERIES.all().count(), 42);
     assert_eq!(end, 147);
 }
 

@@ -13,9 +13,11 @@ from typing import Any, Literal
 import numpy as np
 
 from softmap_edge.commands.commissioning import confirm, deadman, hold_argument, tell
+from softmap_edge.commands.output import to_stderr
 from softmap_edge.commands.own import effects_argument, load_own, open_model
 from softmap_edge.commands.robot import bench_of, driving, emulated
 from softmap_edge.commissioning.jog import ARRIVED, EVERY, Jog, most_travel
+from softmap_edge.commissioning.pull import LEAST_SHORT, SHORT
 from softmap_edge.errors import ServoError, SoftmapError
 from softmap_edge.motion.curves import WIDEST
 from softmap_edge.printable import raw
@@ -34,6 +36,11 @@ ENDS = {
 }
 NEAR = 25.0  # ticks from a command at which a servo is there
 LAGS = 1.0  # s after its goal came there, when it is as near as it gets
+CAME_SHORT = 1  # exit code
+HELD = (
+    "look what holds the finger; `softmap servo limits` lists who caps the current, `softmap servo pull` measures what "
+    "the stroke needs"
+)
 STEP = 10.0  # ticks that a tap turns: more only once the key repeats
 HELP = (
     "hold a key: left and right servo 1, down and up servo 2, 1-9 choose a servo for - and +; a tap is one step of "
@@ -59,7 +66,7 @@ def move_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def move(args: argparse.Namespace) -> int:
-    """Jog, or go to one command; 0 when that was done."""
+    """Jog, or go to one command; 0 when that was done, 1 when it ended short of where it was sent."""
     if (args.servo is None) != (args.by is None) or (args.command and args.by is not None):
         raise SoftmapError("give U1,U2, or --servo ID with --by TICKS, or none of them to jog by keys")
     _check_by(args.by, JOG_TRAVEL)
@@ -69,7 +76,7 @@ def move(args: argparse.Namespace) -> int:
         if args.by is not None:
             _numbered(rig, args.servo)
             _check_by(args.by, most_travel(rig))
-        with deadman(args.hold and args.by is not None) as hand, Jog(rig) as jog:
+        with deadman(args.hold and args.by is not None) as hand, Jog(rig, tell=to_stderr) as jog:
             begin = jog.position
             if args.by is not None:
                 tell(args, f"servo {args.servo} by {args.by:+.0f} ticks at {jog.slew:.0f} ticks/s", hand)
@@ -78,14 +85,15 @@ def move(args: argparse.Namespace) -> int:
                 print(HELP, file=sys.stderr)
                 _by_keys(jog, hand)
             end = jog.position
+            short = "" if args.by is None or hand.stopped else _jog_short(jog, _numbered(rig, args.servo), args.by)
             jog.stop()
     servos = [
         {"id": one.id, "from": float(a), "to": float(b)} for one, a, b in zip(rig.servos, begin, end, strict=True)
     ]
-    document = {"schema": "softmap.move/1", "servos": servos, "stopped": bool(hand.stopped)}
+    document = {"schema": "softmap.move/1", "servos": servos, "stopped": bool(hand.stopped), "short": short or None}
     lines = [f"servo {one['id']}: {one['from']:.0f} → {one['to']:.0f} ticks" for one in servos]
     print(json.dumps(document) if args.json else "\n".join([*lines, "torque is off"]))
-    return 0
+    return _reported(short)
 
 
 def _check_by(by: float | None, most: float) -> None:
@@ -164,11 +172,48 @@ def _go(args: argparse.Namespace) -> int:
                     arrived = now
                 time.sleep(EVERY)
             at = there.calibration.commands(robot.position)
+            short = _short(robot, done)
     document = {"schema": "softmap.move/1", "command_mm": u.tolist(), "done_mm": done.tolist(), "at_mm": at.tolist()}
+    document |= {"short": short or None}
     cut = "" if np.allclose(done, u, atol=0.01) else f" (nearest to {_mm(u)} within its window)"
-    said = f"sent to {_mm(done)} mm{cut}, came to {_mm(at)} mm by the servos; slack again, torque is off"
+    came = "came only to" if short else "came to"
+    said = f"sent to {_mm(done)} mm{cut}, {came} {_mm(at)} mm by the servos; slack again, torque is off"
     print(json.dumps(document) if args.json else said)
-    return 0
+    return _reported(short)
+
+
+def _reported(short: str) -> int:
+    """Report a move that ended short of where it was sent; the exit code."""
+    if short:
+        to_stderr(f"softmap move: {short}")
+    return CAME_SHORT if short else 0
+
+
+def _short(robot: Controller, done: Any) -> str:
+    """Return which servos stand short of the command `done`, as the pull test judges it; empty where none does."""
+    home, target = robot.calibration.home, robot.calibration.ticks(done)
+    limits = robot.limits["servos"]
+    return _far(robot.rig, target, robot.position, target - home, [one["current"] for one in limits])
+
+
+def _jog_short(jog: Jog, servo: int, by: float) -> str:
+    """Return whether a jogged servo stands short of where it was sent; empty where it does not."""
+    target = jog.goal.copy()
+    away = np.zeros(len(target))
+    away[servo] = by
+    most = min(jog.robot.limits["jog_current"], jog.robot.limits["servos"][servo]["current"] or np.inf)
+    return _far(jog.rig, target, jog.position, away, [most] * len(target))
+
+
+def _far(rig: Rig, target: Any, position: Any, away: Any, most: Any) -> str:
+    """Return the line of the servos that stand farther from their targets than a move by `away` ticks allows."""
+    said = []
+    for servo, to, at, way, mA in zip(rig.servos, target, position, away, most):
+        allowed = max(LEAST_SHORT, SHORT * abs(way))
+        if not abs(at - to) <= allowed:
+            said.append(f"servo {servo.id} stands {at - to:+.0f} ticks from its goal, allowed are {allowed:.0f}")
+            said[-1] += "" if mA is None else f", under at most {mA:.0f} mA"
+    return "; ".join([*said, HELD]) if said else ""
 
 
 def _off(robot: Controller, command: Any, what: str) -> float:

@@ -6,24 +6,29 @@ import argparse
 import json
 import warnings
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from softmap_edge.commands.output import check_file, check_no_run
+from softmap_edge.commands.output import check_file, check_no_run, to_stderr
 from softmap_edge.commands.servo_calibrate import calibrate_bench, calibrate_bench_arguments
 from softmap_edge.commands.servo_emulate import emulate, emulate_arguments
 from softmap_edge.commands.servo_heartbeat import heartbeat, heartbeat_arguments
 from softmap_edge.commands.servo_home import home, home_arguments
 from softmap_edge.commands.servo_limits import limits, limits_arguments
 from softmap_edge.commands.servo_pull import pull_arguments, pull_test
+from softmap_edge.commands.servo_reboot import reboot, reboot_arguments
 from softmap_edge.commissioning import setup
-from softmap_edge.errors import RecordingWarning, ServoError
+from softmap_edge.commissioning.rig_entry import changes, entered, entry_of
+from softmap_edge.errors import NoAnswer, RecordingWarning, ServoError
 from softmap_edge.experiment.recorded import run_of
+from softmap_edge.servo import words
 from softmap_edge.servo.bus import opened, ports, release
 from softmap_edge.servo.ending import kept_words
+from softmap_edge.servo.examined import members
+from softmap_edge.servo.known_state import differs, passing
+from softmap_edge.servo.presence import why_silent
 from softmap_edge.servo.recording import read_recording
-from softmap_edge.servo.rig import Rig, RigServo, read_rig
+from softmap_edge.servo.rig import Rig, read_rig
 
 Declare = Callable[[argparse.ArgumentParser], None]
 Do = Callable[[argparse.Namespace], int]
@@ -45,18 +50,42 @@ def _ports(args: argparse.Namespace) -> list[str]:
     return found
 
 
+def _of_rig(args: argparse.Namespace) -> Rig | None:
+    """Return the bench of `--rig`, whose port and rate are looked at where no others are given."""
+    if args.rig is None:
+        return None
+    rig = read_rig(args.rig)
+    args.port, args.baud = args.port or rig.port, args.baud or rig.baud
+    return rig
+
+
+def _missing(rig: Rig | None, found: list[setup.Found]) -> list[str]:
+    """Return of each servo of the bench that did not answer why, a sentence each."""
+    listed = [] if rig is None else [servo.id for servo in rig.servos]
+    left = [id for id in listed if id not in [servo.id for servo in found]]
+    return [] if rig is None else [f"servo {id}: {why_silent(rig.port, rig.baud, id, listed)}" for id in left]
+
+
 def _scan(args: argparse.Namespace) -> int:
-    found = []
+    rig = _of_rig(args)
+    found: list[setup.Found] = []
+    remarks: list[str] = []
     for port in _ports(args):
-        for servo in setup.scan(port, args.baud):
-            found.append(servo)
+        for heard in setup.scanned(port, args.baud):
+            found += heard.found
+            remarks += heard.remarks
             if not args.json:
-                print(servo)
+                print("".join(f"{line}\n" for line in [*heard.found, *(f"  ! {one}" for one in heard.remarks)]), end="")
+    remarks += (missing := _missing(rig, found))
     if args.json:
-        print(json.dumps({"schema": "softmap.servos/1", "servos": [_told(servo) for servo in found]}))
-    elif not found:
-        print("no servo answers; check its power and wiring")
-    return 0 if found else OTHERWISE
+        servos = [_told(servo) for servo in found]
+        print(json.dumps({"schema": "softmap.servos/1", "servos": servos, "remarks": remarks}))
+    elif missing:
+        print("\n".join(f"  ! {one}" for one in missing))
+    elif not found and not remarks:
+        more = "" if args.baud is None else ", and without --baud every rate is tried"
+        print(f"no servo answers; check its power and wiring{more}")
+    return 0 if found and not remarks else OTHERWISE
 
 
 def _told(servo: setup.Found) -> dict[str, Any]:
@@ -66,51 +95,74 @@ def _told(servo: setup.Found) -> dict[str, Any]:
     )
 
 
-def _find(args: argparse.Namespace) -> list[setup.Found]:
-    """Return the servos that are meant."""
-    found = [servo for port in _ports(args) for servo in setup.scan(port, args.baud)]
-    if args.id is not None:
-        found = [servo for servo in found if servo.id == args.id]
-    if not found:
-        which = "no servo" if args.id is None else f"no servo of id {args.id}"
-        raise ServoError(f"{which} answers; check power and wiring, `softmap servo scan` lists what does")
-    return found
+def _find(args: argparse.Namespace) -> tuple[list[setup.Found], list[str]]:
+    """Return the servos that are meant, and what is wrong about what answers."""
+    heard = [one for port in _ports(args) for one in setup.scanned(port, args.baud)]
+    every = [servo for one in heard for servo in one.found]
+    remarks = [remark for one in heard for remark in one.remarks]
+    found = [servo for servo in every if args.id is None or servo.id == args.id]
+    if found:
+        return found, remarks
+    if remarks and not every:
+        raise ServoError(remarks[0])
+    which = "no servo" if args.id is None else f"no servo of id {args.id}"
+    if args.id is not None and args.port and args.baud:
+        raise ServoError(f"{which} answers: {why_silent(args.port, args.baud, args.id)}")
+    raise ServoError(f"{which} answers; check power and wiring, `softmap servo scan` lists what does")
 
 
 def _read(args: argparse.Namespace) -> int:
-    documents, well = [], True
-    for servo in _find(args):
-        with opened(servo.port, servo.baud) as bus:
-            values = setup.registers(bus, servo.id)
-        said = setup.complaints(servo, values)
+    documents = []
+    rig = _of_rig(args)
+    found, remarks = _find(args)
+    remarks += [] if args.id is not None else _missing(rig, found)
+    asked = {} if rig is None else {one.id: one.asked for one in members(rig)}
+    well = not remarks
+    shared = {servo.id for servo in found if [one.id for one in found].count(servo.id) > 1}
+    for servo in {(one.port, one.baud, one.id): one for one in found}.values():
+        values, said = ({}, []) if servo.id in shared else _registers(servo, asked.get(servo.id))
         well &= not said
         documents.append(_told(servo) | {"registers": values, "complaints": said})
         if not args.json:
             print(servo)
-            print("\n".join(f"  {name.replace('_', ' '):<24} {value}" for name, value in values.items()))
-            print("\n".join(f"  ! {line}" for line in said) or "  set up")
+            print("".join(f"  {name.replace('_', ' '):<24} {value}\n" for name, value in values.items()), end="")
+            print(
+                "\n".join(f"  ! {line}" for line in said) or ("  set up" if values else "  its answers are not its own")
+            )
     if args.json:
-        print(json.dumps({"schema": "softmap.servos/1", "servos": documents}))
+        print(json.dumps({"schema": "softmap.servos/1", "servos": documents, "remarks": remarks}))
+    else:
+        print("".join(f"! {line}\n" for line in remarks), end="")
     return 0 if well else OTHERWISE
+
+
+def _registers(servo: setup.Found, asked: setup.Asked | None) -> tuple[dict[str, int], list[str]]:
+    """Return what the registers of a servo hold, and what keeps it from being driven or is written anew by a start."""
+    try:
+        with opened(servo.port, servo.baud) as bus:
+            values = setup.registers(bus, servo.id)
+    except NoAnswer as fault:
+        return {}, [str(fault)]
+    left = [differs(servo, need, values[need.register]) for need in passing(servo, values, asked)]
+    return values, setup.complaints(servo, values, asked) + [f"{one}; each start writes it again" for one in left]
 
 
 def _setup(args: argparse.Namespace) -> int:
     check_file("--rig", args.rig, ".toml")
-    found = _find(args)
+    found, remarks = _find(args)
+    ids = [servo.id for servo in found]
     if len(found) > 1:
-        ids = ", ".join(str(servo.id) for servo in found)
-        raise ServoError(f"{len(found)} servos answer (ids {ids}); connect one at a time, or say which with --id")
+        if shared := [line for line in remarks if len(set(ids)) < len(ids) and "share" in line]:
+            raise ServoError(f"{len(found)} servos answer (ids {', '.join(map(str, ids))}): {shared[0]}")
+        said = ", ".join(map(str, ids))
+        raise ServoError(f"{len(found)} servos answer (ids {said}); connect one at a time, or say which with --id")
     old = read_rig(args.rig) if args.rig and Path(args.rig).exists() else None
-    if old is not None:
-        _check_rate(old, found[0].id, args.new_baud or found[0].baud)  # before anything is changed
+    entry = entry_of(old, found[0], args.new_id, args.new_baud)  # before anything is changed
     mended: list[str] = []
-    done = setup.set_up(found[0], args.new_id, args.new_baud, mended.append)
+    done = setup.set_up(found[0], args.new_id, args.new_baud, mended.append, entry.asked)
     if args.rig:
-        for one in old.servos if old is not None else ():
-            held = {"home": one.home, "measured current": one.current_mA} if one.id == done.id else {}
-            if names := [name for name, value in held.items() if value is not None]:
-                mended.append(f"{args.rig} held its {' and '.join(names)}: taken out, to be found anew")
-        bench = _noted(done, old)
+        mended += changes(entry, found[0], done, args.rig)
+        bench = entered(entry, done, setup.gains(done))
         (bench.write if old is None else bench.note)(args.rig)
     if args.json:
         print(json.dumps({"schema": "softmap.servos/1", "servos": [_told(done)], "rig": args.rig, "mended": mended}))
@@ -119,24 +171,6 @@ def _setup(args: argparse.Namespace) -> int:
         print(f"{done}: set up" + (f", noted in {args.rig}" if args.rig else ""))
         print(f"  next, once all are: softmap servo home --rig {args.rig or 'FILE'}")
     return 0
-
-
-def _check_rate(bench: Rig, id: int, baud: int) -> None:
-    if bench.baud != baud:
-        raise ServoError(f"the bench runs at {bench.baud} baud, servo {id} at {baud}; give --new-baud {bench.baud}")
-
-
-def _noted(done: setup.Found, old: Rig | None) -> Rig:
-    """Return the bench with the servo that was set up; it keeps its place if it is there."""
-    assert done.model is not None
-    new = RigServo(done.id, done.model["name"])  # another mode may count turns anew: no home, no ceiling
-    if old is None:
-        return Rig(done.port, done.baud, (new,))
-    _check_rate(old, done.id, done.baud)
-    servos = [new if servo.id == done.id else servo for servo in old.servos]
-    if new not in servos:
-        servos.append(new)
-    return replace(old, port=done.port, servos=tuple(servos))
 
 
 def _off(args: argparse.Namespace) -> int:
@@ -166,8 +200,13 @@ def _bus_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--baud", type=int, metavar="BAUD", help="one rate; every known one without it")
 
 
-def _read_arguments(parser: argparse.ArgumentParser) -> None:
+def _scan_arguments(parser: argparse.ArgumentParser) -> None:
     _bus_arguments(parser)
+    parser.add_argument("--rig", metavar="rig.toml", help="look for the servos of this bench")
+
+
+def _read_arguments(parser: argparse.ArgumentParser) -> None:
+    _scan_arguments(parser)
     parser.add_argument("--id", type=int, metavar="ID", help="one servo; all that answer without it")
 
 
@@ -185,7 +224,7 @@ def _off_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 ACTIONS: dict[str, tuple[str, Declare, Do]] = {
-    "scan": ("find ports, baud rates and servos", _bus_arguments, _scan),
+    "scan": ("find ports, baud rates and servos", _scan_arguments, _scan),
     "read": ("what a servo is, and what keeps it from being driven", _read_arguments, _read),
     "setup": ("make one servo ready, and note it in a rig.toml", _setup_arguments, _setup),
     "home": ("prove where the finger is straight, after each power-up", home_arguments, home),
@@ -197,6 +236,7 @@ ACTIONS: dict[str, tuple[str, Declare, Do]] = {
     "pull": ("measure the current at the stroke; it becomes the ceiling", pull_arguments, pull_test),
     "limits": ("every limit in force on a bench, and who set it", limits_arguments, limits),
     "off": ("switch the torque of every servo off", _off_arguments, _off),
+    "reboot": ("restart a servo that has shut itself down", reboot_arguments, reboot),
     "heartbeat": ("be the emergency stop of a robot elsewhere", heartbeat_arguments, heartbeat),
     "emulate": ("an emulated robot: servos, a finger, a camera, faults on command", emulate_arguments, emulate),
 }
@@ -236,6 +276,7 @@ def replay(args: argparse.Namespace) -> int:
     seconds = (last["now"] - first["now"]) * 1e-9
     if args.json:
         document = {"schema": "softmap.replay/1", "periods": len(recording.periods), "seconds": seconds}
+        document |= {"bus": recording.bus}
         print(json.dumps(document | {"otherwise": differ, "short": recording.short, "run": args.run}))
     else:
         said = "every one decided alike" if not differ else f"{len(differ)} decided otherwise, the first is {differ[0]}"
@@ -244,4 +285,6 @@ def replay(args: argparse.Namespace) -> int:
             print(f"{args.run}: written")
     if recording.incomplete:
         warnings.warn(RecordingWarning(recording.incomplete), stacklevel=2)
+    if said := words.bus(recording.bus):
+        to_stderr(f"softmap replay: {said}")
     return OTHERWISE if differ or recording.short else 0

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 from softmap_edge.bundle import save_bundle
 from softmap_edge.commands.commissioning import confirm, deadman, hold_argument, tell
-from softmap_edge.commands.output import bundle_arguments, check_bundle
+from softmap_edge.commands.output import bundle_arguments, check_bundle, to_stderr
 from softmap_edge.commands.own import effects_argument, load_own, open_model
 from softmap_edge.commissioning.first_calibration import COUPLING, bench_calibration, bends, document, radius
 from softmap_edge.commissioning.jog import Jog
@@ -85,7 +85,7 @@ def _jogged(args: argparse.Namespace, rig: Rig, model: Model) -> list[int]:
     signs = []
     for k, servo in enumerate(rig.servos):
         way = bends(model, k)
-        with Jog(rig) as jog:
+        with Jog(rig, tell=to_stderr) as jog:
             with deadman(args.hold) as hand:
                 tell(args, f"servo {servo.id} turns by {JOGGED:+.0f} ticks and back; watch the tip", hand)
                 came = jog.by(k, JOGGED, hand)

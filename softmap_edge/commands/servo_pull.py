@@ -6,7 +6,7 @@ import argparse
 import json
 
 from softmap_edge.commands.commissioning import deadman, hold_argument, tell
-from softmap_edge.commands.output import check_file
+from softmap_edge.commands.output import check_file, to_stderr
 from softmap_edge.commands.own import effects_argument, load_own, open_model
 from softmap_edge.commands.progress import Bar
 from softmap_edge.commands.robot import tell_edited
@@ -35,7 +35,7 @@ def pull_test(args: argparse.Namespace) -> int:
     with deadman(args.hold) as hand:
         tell(args, "each servo goes slowly to both ends of its window and back", hand)
         with Bar(args.json) as bar:
-            done = pull(found, hand, () if args.servo is None else (args.servo,), bar)
+            done = pull(found, hand, () if args.servo is None else (args.servo,), bar, to_stderr)
     noted(rig, done).note(args.rig)
     if args.json:
         document = {"schema": "softmap.pull/1", "servos": [one.to_dict() for one in done]}

@@ -103,7 +103,9 @@ def _drive(args: argparse.Namespace) -> int:
         aim: Aim = Tip(kinematics) if args.tip else Direct(kinematics)
         stack.enter_context(contextlib.suppress(RecordingBroken))  # reported below, after the account
         robot = stack.enter_context(
-            Controller(bench.rig, bench.calibration, bench.limits, kinematics=kinematics, record=args.record)
+            Controller(
+                bench.rig, bench.calibration, bench.limits, kinematics=kinematics, record=args.record, tell=to_stderr
+            )
         )
         show: Callable[[Any], None] | None = None
         if page is not None:

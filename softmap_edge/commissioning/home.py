@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge import _core
-from softmap_edge.commissioning import setup
 from softmap_edge.errors import ServoError
-from softmap_edge.servo.bus import opened, patiently
+from softmap_edge.servo.bus import heard, opened
+from softmap_edge.servo.examined import examined, members, refusal
 from softmap_edge.servo.proof import marked, set_mark
 from softmap_edge.servo.rig import FARTHEST, Rig, RigServo
 from softmap_edge.ticks import TURN
@@ -59,14 +59,10 @@ def relax(rig: Rig) -> list[int]:
     Raises:
         ServoError: one does not answer, is another model, is not set up, or reports an error.
     """
-    with opened(rig.port, rig.baud) as bus:
-        for _ in range(3):
-            bus.release()
-        seen = setup.examined(bus, rig)
-    for servo, _, said in seen:
-        if said:
-            raise ServoError(f"servo {servo.id}: {'; '.join(said)}")
-    return [found.firmware for _, found, _ in seen if found is not None]
+    seen = examined(rig.port, rig.baud, members(rig), release=True)
+    if said := refusal(seen):
+        raise ServoError(said)
+    return [one.found.firmware for one in seen if one.found is not None]
 
 
 def prove(rig: Rig, confirmed: str, *, new: bool = False) -> Homed:
@@ -137,7 +133,7 @@ def _watched(bus: _core.ServoBus, rig: Rig) -> list[int]:
 
     def positions() -> list[int]:
         ids = [servo.id for servo in rig.servos]
-        return [int.from_bytes(patiently(bus.read, id, at, size), "little", signed=True) for id in ids]
+        return [int.from_bytes(heard(bus, id, at, size), "little", signed=True) for id in ids]
 
     seen = []
     for _ in range(LOOKS):
@@ -150,6 +146,6 @@ def _watched(bus: _core.ServoBus, rig: Rig) -> list[int]:
                 f"the finger moves: servo {servo.id} turned by {moved} ticks in {WATCHED:g} s, allowed are {STEADY}; "
                 "let it come to rest and home it again"
             )
-        if patiently(bus.read, servo.id, enable, 1) != b"\x00":
+        if heard(bus, servo.id, enable, 1) != b"\x00":
             raise ServoError(f"servo {servo.id} has torque: another program drives it; stop that first")
     return [int(tick) for tick in np.rint(np.median(looked, axis=0))]

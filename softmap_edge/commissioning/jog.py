@@ -71,7 +71,7 @@ class Jog:
 
     Args:
         travel, slew, current: ticks, ticks/s and mA of a jog, by default the bench's or softmap's; the bench's bind
-            what is given too.
+            what is given too. tell: is given what a user should know of the servos and the bus, a line each.
 
     Raises:
         ServoError: the port cannot be opened, the loop cannot start, or a servo is not as the rig says.
@@ -84,13 +84,14 @@ class Jog:
         travel: float | None = None,
         slew: float | None = None,
         current: float | None = None,
+        tell: Callable[[str], None] = lambda line: None,
     ) -> None:
         count = len(rig.servos)
         limits = _limits(rig, {"jog_travel": travel, "jog_slew": slew, "jog_current": current})
         self.rig, self.travel, self.slew = rig, limits["jog_travel"], limits["jog_slew"]
         home = np.array([servo["home"] for servo in limits["servos"]], float)
         ticks = Calibration.stated(np.eye(count), home, home, "ticks as they are", unit="ticks")
-        self.robot = Controller(rig, ticks, limits, commissioning=True)
+        self.robot = Controller(rig, ticks, limits, commissioning=True, tell=tell)
         self._began: Ticks | None = None
         self._target: Ticks | None = None
 

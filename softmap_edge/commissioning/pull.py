@@ -99,12 +99,14 @@ def pull(
     hand: Deadman,
     ids: Sequence[int] = (),
     progress: Callable[[str, float], None] = lambda what, share: None,
+    tell: Callable[[str], None] = lambda line: None,
 ) -> list[Pulled]:
     """Pull each servo of the bench (or those of `ids`) to both ends of its window while `hand` holds.
 
     Args:
         found: the limits in force; `[ceiling]` of the rig may bound `jog_slew`, `jog_current` and `jog_travel`.
-        progress: told what moves, and the share of the whole test that is done.
+        progress: told what moves, and the share of the whole test that is done. tell: is given what a user should know
+            of the servos and the bus, a line each.
 
     Raises:
         ServoError: a servo reports no current, home is not proved, the finger does not come to its stroke, its current
@@ -127,7 +129,7 @@ def pull(
     done: list[Pulled] = []
     for k in numbers:
         name, share = f"servo {rig.servos[k].id}", len(done) / len(numbers)
-        with Jog(replace(rig, servos=inside), travel=most) as jog:
+        with Jog(replace(rig, servos=inside), travel=most, tell=tell) as jog:
             progress(f"{name}, low end", share)
             low = _leg(jog, k, ends[k][0], most, hand)
             progress(f"{name}, high end", share + 0.4 / len(numbers))

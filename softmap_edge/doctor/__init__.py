@@ -61,7 +61,7 @@ def examine(rig: str | Path | None = None, bundle: str | Path | None = None, cam
         lambda: host.cameras(camera),
     ]
     looks += [] if bundle is None else [lambda: bench.bundle(bundle)]
-    looks += [] if rig is None else [lambda: bench.rig(rig)]
+    looks += [] if rig is None else [lambda: bench.rig(rig, bundle)]
     looks += [] if rig is None or bundle is None else [lambda: bench.limits(rig, bundle)]
     return Examined(tuple(line for look in looks for line in _safely(look)))
 

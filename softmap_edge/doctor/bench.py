@@ -5,6 +5,7 @@ Servos are asked only: nothing is written to them. Pinned by tests/test_doctor.p
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import os
 import stat
@@ -12,16 +13,16 @@ import textwrap
 from collections.abc import Iterator
 from pathlib import Path
 
-from softmap_edge import _core
-from softmap_edge.commissioning import setup
 from softmap_edge.doctor.line import FAULT, OK, WARNING, Line, faulty
 from softmap_edge.errors import ServoError, SoftmapError
 from softmap_edge.servo.bus import opened
 from softmap_edge.servo.combined import combined
 from softmap_edge.servo.emergency import Emergency
+from softmap_edge.servo.examined import Member, examined, members, members_of
+from softmap_edge.servo.known_state import differs, gains_of
 from softmap_edge.servo.models import servo_model
 from softmap_edge.servo.proof import check_proved
-from softmap_edge.servo.rig import Rig, read_rig
+from softmap_edge.servo.rig import Rig, RigServo, read_rig
 from softmap_edge.signed_udp import read_key
 
 SCAN = "run softmap servo scan"
@@ -74,8 +75,12 @@ def limits(file: str | Path, folder: str | Path) -> Iterator[Line]:
     yield Line("limits", OK, f"{said}; softmap servo limits prints them")
 
 
-def rig(file: str | Path) -> Iterator[Line]:
-    """A bench: whether its file is sound, its servos answer and are set up, and home is proved."""
+def rig(file: str | Path, folder: str | Path | None = None) -> Iterator[Line]:
+    """A bench: whether its file is sound, its servos answer and are set up, and home is proved.
+
+    Args:
+        file: its `rig.toml`. folder: the bundle of the finger on it, whose limits the servos must carry.
+    """
     try:
         bench = read_rig(file)
     except ServoError as fault:
@@ -92,8 +97,7 @@ def rig(file: str | Path) -> Iterator[Line]:
         yield Line("ceiling", WARNING, f"no current was measured for servo {_listed(uncapped)}", do)
     yield from _stops(bench)
     try:
-        with opened(bench.port, bench.baud) as bus:
-            yield from _servos(bus, bench)
+        yield from _servos(bench, _asked(bench, folder))
     except ServoError as fault:
         yield faulty("bus", fault, SCAN)
 
@@ -120,20 +124,42 @@ def _stops(bench: Rig) -> Iterator[Line]:
         yield Line("emergency stop", OK, f"stops at {stops}")
 
 
-def _servos(bus: _core.ServoBus, bench: Rig) -> Iterator[Line]:
-    for servo, found, said in setup.examined(bus, bench):
-        name = f"servo {servo.id}"
-        for complaint in said:
+def _asked(bench: Rig, folder: str | Path | None) -> list[Member]:
+    """Return what is asked of each servo: by the limits in force where they are known, else by the bench alone."""
+    from softmap_edge.bundle import load_bundle
+
+    if folder is not None:
+        with contextlib.suppress(SoftmapError, OSError):
+            table = combined(bench, load_bundle(folder)).table()
+            return members_of(bench.numbers, table, [gains_of(bench.made, servo.id) for servo in bench.servos])
+    return members(bench)
+
+
+def _servos(bench: Rig, asked: list[Member]) -> Iterator[Line]:
+    seen = examined(bench.port, bench.baud, asked)
+    for servo, one in zip(bench.servos, seen):
+        name, found = f"servo {servo.id}", one.found
+        for complaint in one.wrong:
             yield faulty(name, complaint, SCAN)
-        if found is None or found.number != dict(bench.numbers)[servo.id]:
+        if found is None or found.number != dict(bench.numbers)[servo.id] or not one.values:
             continue
-        if not said:
+        for need in one.passing:
+            said = differs(found, need, one.values[need.register])
+            yield Line(name, WARNING, said, "each start writes it again")
+        if not one.wrong and not one.passing:
             yield Line(name, OK, f"{servo.model}, firmware {found.firmware}, set up")
-        try:
+        yield _home(bench, servo)
+
+
+def _home(bench: Rig, servo: RigServo) -> Line:
+    """Whether the home of a servo is proved."""
+    name = f"home of servo {servo.id}"
+    try:
+        with opened(bench.port, bench.baud) as bus:
             check_proved(bus, [(servo.id, servo.home)])
-            yield Line(f"home of {name}", OK, f"proved since power-up, at {servo.home}")
-        except ServoError as fault:
-            yield faulty(f"home of {name}", fault, SCAN)
+    except ServoError as fault:
+        return faulty(name, fault, SCAN)
+    return Line(name, OK, f"proved since power-up, at {servo.home}")
 
 
 def _listed(ids: list[int]) -> str:

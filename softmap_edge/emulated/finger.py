@@ -20,11 +20,12 @@ from numpy.typing import NDArray
 
 from softmap_edge import _core
 from softmap_edge.camera.frames import Frame
-from softmap_edge.commissioning.setup import Found, set_up
+from softmap_edge.commissioning.setup import Found, gains, set_up
 from softmap_edge.emulated.tendon_load import tendon_loads
 from softmap_edge.errors import ServoError
 from softmap_edge.model import Model
 from softmap_edge.servo.bus import opened
+from softmap_edge.servo.known_state import SET_UP
 from softmap_edge.servo.limits import loop_limits, servo_limits
 from softmap_edge.servo.models import servo_model
 from softmap_edge.servo.proof import set_mark
@@ -175,11 +176,13 @@ def emulated_bench(
     servos = [(id, int(known["number"]), baud, float(home)) for id, home in zip(ids, homes)]
     loads = tendon_loads(model, calibration, window, known)
     bus = _core.EmulatedBus(servos, loads, delay=ANSWER[0], lag=ANSWER[1], seed=seed)
+    kept: dict[str, Any] = {}
     try:
         if ready:
             for id, home in zip(ids, homes):
-                _ready(Found(bus.path, baud, id, int(known["number"]), _core.FAST_FIRMWARE), home)
-        rig = Rig(bus.path, baud, tuple(RigServo(id, servo, home if ready else None) for id, home in zip(ids, homes)))
+                kept[f"servo_{id}"] = _ready(Found(bus.path, baud, id, int(known["number"]), _core.FAST_FIRMWARE), home)
+        entries = tuple(RigServo(id, servo, home if ready else None) for id, home in zip(ids, homes))
+        rig = Rig(bus.path, baud, entries, made={SET_UP: kept} if kept else {})
         limits = loop_limits([servo_limits(servo, home, window) for home in homes], rate)
         with EmulatedFinger(bus, model, calibration, laws, seed=seed) as finger:
             yield bus, rig, limits, finger
@@ -187,14 +190,18 @@ def emulated_bench(
         bus.unplug()
 
 
-def _ready(found: Found, home: int) -> None:
-    """Set an emulated servo up, its home proved; it is asked again where a busy computer let it answer late."""
+def _ready(found: Found, home: int) -> list[int]:
+    """Set an emulated servo up, its home proved; it is asked again where a busy computer let it answer late.
+
+    Returns its gains.
+    """
     for left in reversed(range(ASKED)):
         try:
             set_up(found)
             with opened(found.port, found.baud) as bus:
                 set_mark(bus, found.id, home)
-            return
+            return gains(found)
         except ServoError:
             if not left:
                 raise
+    raise AssertionError("unreachable: the last try returns or raises")

@@ -12,6 +12,8 @@ from typing import ParamSpec, TypeVar
 
 from softmap_edge import _core
 from softmap_edge.errors import NoAnswer, NoSuchRate, PortLost, ServoError
+from softmap_edge.servo.holders import check_alone
+from softmap_edge.servo.known_state import SIGNED, setup_command
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -31,8 +33,18 @@ def ports(root: Path = Path("/dev")) -> list[str]:
 
 
 @contextmanager
-def opened(port: str, baud: int) -> Iterator[_core.ServoBus]:
-    """Open a bus and close it again."""
+def opened(port: str, baud: int, *, shared: bool = False) -> Iterator[_core.ServoBus]:
+    """Open a bus and close it again.
+
+    Args:
+        port, baud: the device, and its rate. shared: another program may have it open without a lock: torque has to go
+            off whoever is there.
+
+    Raises:
+        ServoError: it cannot be opened, or another program has it; the line names that.
+    """
+    if not shared:
+        check_alone(port)
     bus = _core.ServoBus(port, baud)
     try:
         yield bus
@@ -51,6 +63,39 @@ def patiently(ask: Callable[P, T], *args: P.args, **named: P.kwargs) -> T:
 def pinged(bus: _core.ServoBus, id: int) -> tuple[int, int] | None:
     """Return model number and firmware of a servo; None if it does not answer, several times asked."""
     return next((told for _ in range(TRIES) if (told := bus.ping(id)) is not None), None)
+
+
+def heard(bus: _core.ServoBus, id: int, address: int, size: int) -> bytes:
+    """Return `size` bytes of the registers of a servo, several times asked.
+
+    Raises:
+        NoAnswer: it does not answer; the line names the servo, and what leads on. ServoError: it refuses.
+    """
+    try:
+        return patiently(bus.read, id, address, size)
+    except NoAnswer:
+        from softmap_edge.servo.presence import muted
+
+        said = muted(bus, id)
+        raise NoAnswer(f"servo {id}{'' if said.startswith('answers') else ':'} {said}") from None
+
+
+def pings_only(port: str, baud: int, id: int) -> str:
+    """Return what is to be said of a servo that answers pings and nothing else."""
+    return f"answers pings only: its status return level is 0; run {setup_command(port, baud, id)}, which sets it"
+
+
+def registers(bus: _core.ServoBus, id: int) -> dict[str, int]:
+    """Return the value of each register that is used, by its name.
+
+    Raises:
+        NoAnswer: the servo does not answer; the line names it.
+    """
+    memory = heard(bus, id, 0, 64) + heard(bus, id, 64, 83)
+    return {
+        name: int.from_bytes(memory[address : address + size], "little", signed=name in SIGNED and size > 1)
+        for name, (address, size, _) in _core.servo_registers().items()
+    }
 
 
 def rates() -> list[int]:
@@ -98,7 +143,7 @@ def release(port: str, baud: int | None = None, ids: Iterable[int] = ()) -> tupl
     missing = set(ids)
     for rate in rates() if baud is None else [baud]:
         try:
-            with opened(port, rate) as bus:
+            with opened(port, rate, shared=True) as bus:
                 kept_torque(bus, ())
                 found = {id for _ in range(3) for id, _, _ in bus.scan()} | (set(ids) if baud is not None else set())
                 left = set(kept_torque(bus, sorted(found)))

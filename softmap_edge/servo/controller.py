@@ -36,6 +36,7 @@ from softmap_edge.motion.kinematics import Kinematics
 from softmap_edge.servo import session_mark, words
 from softmap_edge.servo.bench_limits import check_bench
 from softmap_edge.servo.ending import kept_words, numbers, running
+from softmap_edge.servo.known_state import gains_of
 from softmap_edge.servo.rig import Rig
 from softmap_edge.servo.watched import FROZEN, Watched
 from softmap_edge.ticks import Calibration
@@ -60,6 +61,8 @@ class Controller(Watched):
     switches torque off, whatever happened. With `record` all that the loop hears, decides and sends goes to that file,
     which must not exist (`recording.py`). A full disk ends the recording and not the loop: `unrecorded` says so
     meanwhile, and leaving raises `RecordingBroken`.
+    `tell` is given what a user should know of servos and bus, a line each: what a start wrote anew (`mended`), and at
+    the end answers that were lost, or that another program asked for (`bus`).
 
     Raises:
         ServoError: a limit is missing or out of range, the loop cannot start, or a request is denied; the message says
@@ -75,6 +78,7 @@ class Controller(Watched):
         kinematics: Kinematics | None = None,
         record: str | Path | None = None,
         commissioning: bool = False,
+        tell: Callable[[str], None] = lambda line: None,
     ) -> None:
         count = len(rig.servos)
         if len(calibration.b) != count or len(limits["servos"]) != count:
@@ -90,6 +94,7 @@ class Controller(Watched):
         if kinematics is not None and kinematics.model.channels != count:
             raise ServoError(f"the model takes {kinematics.model.channels} commands, the rig has {count} servos")
         self.kinematics = kinematics
+        self.tell = tell
         self._commissioning = commissioning
         self._record = None if record is None else Path(record)
         self._last: Report = {}
@@ -119,6 +124,8 @@ class Controller(Watched):
         except BaseException:
             self.close()
             raise
+        for line in self.mended:
+            self.tell(line)
         return self
 
     def __exit__(
@@ -133,6 +140,16 @@ class Controller(Watched):
             fault.add_note(said)  # it goes on as what it is: no servo has torque
         elif said:
             raise ServoError(said) if ended or kept else RecordingBroken(said)
+
+    @property
+    def mended(self) -> list[str]:
+        """What this start wrote anew in the servos, a line each: registers that another program had left."""
+        return list(self._last.get("mended", []))
+
+    @property
+    def bus(self) -> dict[str, int]:
+        """How the questions on the bus went so far: answers `asked` for, `lost`, `damaged`, and `unasked` ones."""
+        return {name: int(self._last.get(name, 0)) for name in words.BUS}
 
     def request(self, name: str, seconds: float = 3.0) -> None:
         """Ask for `connect`, `arm`, `engage`, `hold`, `stop`, `acknowledge`, `disconnect` or `commission`.
@@ -169,7 +186,8 @@ class Controller(Watched):
             f"'{name}' was not answered",
         )
         if denied := self._last.get("denied"):
-            raise ServoError(f"'{name}' is denied {words.where({'state': before})}: {words.denied(denied)}")
+            why = words.denied(denied, self._last)
+            raise ServoError(f"'{name}' is denied {words.where({'state': before})}: {why}")
         if reached is not None and self._last["state"] != reached:
             raise ServoError(f"'{name}' led elsewhere: the robot is {words.where(self._last)}")
 
@@ -264,6 +282,8 @@ class Controller(Watched):
             if process.returncode != 0 and "error" not in self._last:
                 self._rescue(process)
             session_mark.end(self._mark)
+        if said := words.bus(self._last):
+            self.tell(said)
         left = self._end.get("kept_torque") if self._drove else None
         return ended, str(self._last.get("kept") or (kept_words(left) if left else ""))
 
@@ -280,6 +300,7 @@ class Controller(Watched):
             "baud": self.rig.baud,
             "servos": self.rig.numbers,
             "homes": None if self._commissioning else [servo.home for servo in self.rig.servos],
+            "gains": [gains_of(self.rig.made, servo.id) for servo in self.rig.servos],
             "limits": self.limits,
             "slope": self.calibration.A.reshape(-1).tolist(),
             "b": self.calibration.b.tolist(),

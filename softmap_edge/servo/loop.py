@@ -1,8 +1,9 @@
 """The process of the control loop: Rust alone once it runs. `python -m softmap_edge.servo.loop ORDERS REPORTS < setup`.
 
 ORDERS and REPORTS are descriptors of pipes; the setup is a JSON document on standard input (`Controller`). What cannot
-be started is told as a report `{"error": …}`. That home is proved is asked here, as late as can be: a servo that loses
-its turns afterwards is seen by the guard. Where a fault made home unknown, its proof is taken from the servos at the
+be started is told as a report `{"error": …}`. That the servos are set up and that home is proved is asked here, as late
+as can be: a servo that loses its turns afterwards is seen by the guard. What a start writes anew (a profile, gains) is
+told as a report `{"mended": […]}`. Where a fault made home unknown, its proof is taken from the servos at the
 end. Pinned by tests/test_controller.py and tests/test_bad_input.py.
 """
 
@@ -12,10 +13,12 @@ import contextlib
 import json
 import os
 import sys
+from typing import Any
 
 from softmap_edge import _core
 from softmap_edge.errors import ServoError, SoftmapError
-from softmap_edge.servo.bus import opened, pinged
+from softmap_edge.servo.bus import opened
+from softmap_edge.servo.examined import members_of, started
 from softmap_edge.servo.proof import check_proved, set_mark
 from softmap_edge.servo.session_mark import note_released
 from softmap_edge.signed_udp import read_key
@@ -28,6 +31,9 @@ def main() -> int:
     try:
         setup = json.load(sys.stdin)
         homes, session = setup.pop("homes"), setup.pop("session", None)
+        servos = members_of(setup["servos"], setup["limits"], setup.pop("gains", ()))
+        if mended := started(setup["port"], setup["baud"], servos):
+            _say(told, mended=mended)
         if homes is not None:
             _check_home(setup["port"], setup["baud"], setup["servos"], homes)
         if setup["gpio"] is not None:
@@ -39,20 +45,23 @@ def main() -> int:
             _forget_home(setup["port"], setup["baud"], setup["servos"])
         note_released(session)
     except SoftmapError as fault:
-        os.write(told, (json.dumps({"schema": "softmap.loop/1", "error": str(fault)}) + "\n").encode())
+        _say(told, error=str(fault))
         return 1
     return 0
 
 
+def _say(pipe: int, **said: Any) -> None:
+    os.write(pipe, (json.dumps({"schema": "softmap.loop/1"} | said) + "\n").encode())
+
+
 def _check_home(port: str, baud: int, servos: list[list[int]], homes: list[int | None]) -> None:
     with opened(port, baud) as bus:
-        answering = [(id, home) for (id, _), home in zip(servos, homes) if pinged(bus, id) is not None]
-        check_proved(bus, answering)  # of one that is silent the loop itself says why nothing begins
+        check_proved(bus, [(id, home) for (id, _), home in zip(servos, homes)])
 
 
 def _forget_home(port: str, baud: int, servos: list[list[int]]) -> None:
     """Take the marks away: a fault has made home unknown, and the next start must not believe them."""
-    with contextlib.suppress(ServoError), opened(port, baud) as bus:  # a port that is gone
+    with contextlib.suppress(ServoError), opened(port, baud, shared=True) as bus:  # a port that is gone
         for id, _ in servos:
             with contextlib.suppress(ServoError):  # one that does not hear; those of the others are gone
                 set_mark(bus, id, None)

@@ -15,7 +15,7 @@ from collections.abc import Sequence
 
 from softmap_edge import _core
 from softmap_edge.errors import ServoError
-from softmap_edge.servo.bus import patiently
+from softmap_edge.servo.bus import heard, patiently
 
 MARK, MAPPABLE, DIGITS = 168, 120, 8  # first register; lowest address that it may hold; registers of four bits
 SIZE = 2 * DIGITS  # bytes
@@ -36,13 +36,13 @@ def set_mark(bus: _core.ServoBus, id: int, home: int | None) -> None:
     """
     wanted = MAPPABLE.to_bytes(2, "little") * DIGITS if home is None else mark(id, home)
     patiently(bus.write, id, MARK, wanted)
-    if patiently(bus.read, id, MARK, SIZE) != wanted:
+    if heard(bus, id, MARK, SIZE) != wanted:
         raise ServoError(f"servo {id} does not keep the mark of its home (registers {MARK} on); nothing can prove it")
 
 
 def marked(bus: _core.ServoBus, id: int, home: int | None) -> bool:
     """Return whether `home` of servo `id` has been proved since it got power."""
-    return home is not None and patiently(bus.read, id, MARK, SIZE) == mark(id, home)
+    return home is not None and heard(bus, id, MARK, SIZE) == mark(id, home)
 
 
 def no_home(ids: Sequence[int]) -> str:
@@ -75,4 +75,4 @@ def check_proved(bus: _core.ServoBus, servos: Sequence[tuple[int, int | None]]) 
 def restores(bus: _core.ServoBus, id: int) -> bool:
     """Return whether a servo brings its memory back at power-up."""
     address, size, _ = _core.servo_registers()["startup_configuration"]
-    return any(patiently(bus.read, id, address, size))
+    return any(heard(bus, id, address, size))

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from softmap_edge import _core
 from softmap_edge.errors import CalibrationError, RunError, SoftmapError
 from softmap_edge.run import Run
+from softmap_edge.servo import words
 from softmap_edge.servo.recording_damage import find_shortfall
 from softmap_edge.ticks import Calibration
 
@@ -45,6 +46,15 @@ class Recording:
     def limits(self) -> Document:
         """The limits that the guard kept to."""
         return dict(self.setup["limits"])
+
+    @property
+    def bus(self) -> dict[str, int]:
+        """How the questions to the servos went, to the last period: answers `asked` for, `lost`, `damaged`, `unasked`.
+
+        A recording of before they were counted has 0 of each.
+        """
+        last = self.periods[-1]
+        return {name: value if type(value := last.get(name)) is int else 0 for name in words.BUS}
 
     @property
     def begun(self) -> float:

@@ -141,7 +141,7 @@ class Watched:
             process.wait()
             said, kept = "the control loop died or froze; its servos were released from here", ""
             try:
-                with opened(self.rig.port, self.rig.baud) as bus:
+                with opened(self.rig.port, self.rig.baud, shared=True) as bus:
                     if left := kept_torque(bus, [servo.id for servo in self.rig.servos]):
                         kept = kept_words(left)
                         said = f"the control loop died or froze; torque off was sent from here, but {kept}"

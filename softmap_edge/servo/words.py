@@ -7,6 +7,8 @@ from __future__ import annotations
 
 from typing import Any, Literal
 
+from softmap_edge.servo.known_state import hardware
+
 Level = Literal["off", "ready", "driving", "holding", "fault"]
 
 LEVELS: dict[str, Level] = {
@@ -65,6 +67,8 @@ STATES = {
     "commissioning": "Commissioning",
     "fault": "Fault, torque is off",
 }
+BUS = ("asked", "lost", "damaged", "unasked")  # of a report: how questions to the servos went so far
+MANY_LOST = 0.01  # share of the answers from which on it is reported
 LOSES_HOME = ("silent", "hardware", "following", "lost", "dropped", "tripped")  # causes, under torque
 QUIET = ("engaged", "ready")  # states in which the cause is that of what was before
 
@@ -83,10 +87,31 @@ def state(report: dict[str, Any]) -> str:
 def cause(report: dict[str, Any]) -> str:
     """Return why it is in that state, empty where nothing is told."""
     name, servo = str(report.get("cause", "none")), report.get("servo")
+    if name == "hardware" and (said := errors(report)):
+        return said
     why = CAUSES.get(name, name)
     if isinstance(servo, int) and why.startswith("a servo"):
-        why = f"servo {servo + 1}{why[len('a servo') :]}"
+        id = report.get("id")
+        why = f"servo {servo + 1 if id is None else id}{why[len('a servo') :]}"
     return why
+
+
+def errors(report: dict[str, Any]) -> str:
+    """Return which servos report which hardware errors, empty where none does."""
+    known = report.get("hardware") or []
+    ids = report.get("ids") or list(range(1, len(known) + 1))
+    said = [f"servo {id} reports a hardware error: {hardware(bits)}" for id, bits in zip(ids, known) if bits]
+    return ", ".join(said)
+
+
+def bus(report: dict[str, Any]) -> str:
+    """Return what a report says of answers that were lost or not asked for; empty where all is well."""
+    asked, lost, damaged, unasked = (int(report.get(name) or 0) for name in BUS)
+    said = [f"{unasked} answers came that this program did not ask for"] if unasked else []
+    said += [f"{lost} of {asked} answers of the servos were lost"] if lost > MANY_LOST * asked else []
+    said += [f"{damaged} were damaged"] if said and damaged else []
+    why = "another program uses the port, or two servos share an id" if unasked else "look at the wiring of the bus"
+    return f"{', '.join(said)}; {why}" if said else ""
 
 
 def where(report: dict[str, Any]) -> str:
@@ -104,6 +129,8 @@ def onward(report: dict[str, Any]) -> str:
         return "begin anew"
     if state == "fault" and why not in LOSES_HOME:
         return "mend that, then acknowledge it or begin anew"
+    if why == "hardware" and state in ("fault", "off", "connected"):
+        return f"{restarts(report)}, then prove home anew (`softmap servo home`)"
     if state in ("fault", "off", "connected"):
         return "mend that, then prove home anew (`softmap servo home`)"
     if state == "safe_stop":
@@ -111,10 +138,19 @@ def onward(report: dict[str, Any]) -> str:
     return "arm and engage it first" if state == "homed" else "engage it first"
 
 
-def denied(said: str) -> str:
+def restarts(report: dict[str, Any]) -> str:
+    """Return what is to be done about a servo with a hardware error."""
+    ids = [id for id, bits in zip(report.get("ids") or [], report.get("hardware") or []) if bits] or ["N"]
+    return f"find the cause, restart it (`softmap servo reboot --rig FILE --id {ids[0]}`, or its supply off and on)"
+
+
+def denied(said: str, report: dict[str, Any] | None = None) -> str:
     """Return why a request was denied, of what the loop's report says: `from(ready)`, `trouble(late)`, `torque`, …"""
     kind, _, of = said.rstrip(")").partition("(")
-    return DENIED[kind].format(NAMES.get(of) or CAUSES.get(of) or of) if kind in DENIED else said
+    why = NAMES.get(of) or CAUSES.get(of) or of
+    if of == "hardware" and (named := errors(report or {})):
+        why = f"{named}; {restarts(report or {})}"
+    return DENIED[kind].format(why) if kind in DENIED else said
 
 
 def sentence(report: dict[str, Any]) -> str:
@@ -145,6 +181,8 @@ def lost(report: dict[str, Any], why: str) -> str:
     again = "let go of the key and press it anew"
     if state in ("off", "connected") or (state == "fault" and report.get("cause") in LOSES_HOME):
         again = "end this, and prove home anew (softmap servo home)"
+        if report.get("cause") == "hardware":
+            again = f"end this, {restarts(report)}, and prove home anew (softmap servo home)"
     elif state in ("fault", "homed"):
         again = "let go of the key, then reset the fault"
     return again if why == sentence(report) else f"driving ended: {why}; {again}"

@@ -202,14 +202,14 @@ impl Emulator {
                 let mut ids: Vec<u8> = self.servos.iter().map(Servo::id).collect();
                 ids.sort_unstable();
                 ids.dedup();
-                for one in ids {
-                    match asked {
-                        instruction::PING => {
-                            self.answer(one, asked, hears, |servo| servo.read(0, 7).map(firmware))
-                        }
-                        _ => {
-                            self.each(one, hears, |servo| single(servo, asked, parameters).is_ok())
-                        }
+                if asked == instruction::PING {
+                    for one in ids {
+                        self.answer(one, asked, hears, |servo| servo.read(0, 7).map(firmware));
+                    }
+                } else {
+                    for servo in self.servos.iter_mut().filter(|servo| hears(servo)) {
+                        // Nobody answers what all were asked.
+                        let _ = single(servo, asked, parameters);
                     }
                 }
             }
@@ -217,7 +217,7 @@ impl Emulator {
         }
     }
 
-    /// Let each servo called `id` act; whether it did, nobody hears.
+    /// Let each servo that obeys `id` act; whether it did, nobody hears.
     fn each(
         &mut self,
         id: u8,
@@ -227,13 +227,14 @@ impl Emulator {
         for servo in self
             .servos
             .iter_mut()
-            .filter(|servo| servo.id() == id && hears(servo))
+            .filter(|servo| servo.obeys(id) && hears(servo))
         {
             act(servo);
         }
     }
 
-    /// Let each servo called `id` act and answer; two of one id talk over each other.
+    /// Let each servo that obeys `id` act, and those called so answer; two of one id talk over each other, unless one is
+    /// so much slower that it begins when the other has ended.
     fn answer(
         &mut self,
         id: u8,
@@ -241,16 +242,15 @@ impl Emulator {
         hears: impl Fn(&Servo) -> bool,
         mut act: impl FnMut(&mut Servo) -> Result<Vec<u8>, u8>,
     ) {
-        let mut spoken: Option<Vec<u8>> = None;
-        let mut delay = 0.0;
+        let mut spoken: Vec<(f64, Vec<u8>)> = vec![];
         for servo in self
             .servos
             .iter_mut()
-            .filter(|servo| servo.id() == id && hears(servo))
+            .filter(|servo| servo.obeys(id) && hears(servo))
         {
-            delay = servo.return_delay();
+            let delay = servo.return_delay();
             // Asked before: a reset changes what it answers.
-            let answers = servo.answers(asked);
+            let answers = servo.id() == id && servo.answers(asked);
             let done = act(servo);
             if !answers {
                 continue;
@@ -264,13 +264,35 @@ impl Emulator {
             packet.byte(error | servo.alert());
             packet.bytes(data);
             let Ok(bytes) = packet.finish() else { continue };
-            spoken = Some(match spoken {
-                Some(other) => other.iter().zip(bytes).map(|(a, b)| a & b).collect(),
-                None => bytes.to_vec(),
+            spoken.push((delay, bytes.to_vec()));
+        }
+        self.say_together(spoken);
+    }
+
+    /// Answers of one id, each begun after its delay: those that overlap are laid over one another, some bytes apart.
+    fn say_together(&mut self, mut spoken: Vec<(f64, Vec<u8>)>) {
+        spoken.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let byte = 10.0 / f64::from(self.baud);
+        let mut last: Option<(f64, Vec<u8>)> = None;
+        let mut ended = 0.0;
+        for (delay, bytes) in spoken {
+            last = Some(match last.take() {
+                None => (delay, bytes),
+                Some((begin, other)) => {
+                    let apart = ((delay - begin) / byte) as usize;
+                    if apart < other.len() {
+                        (begin, laid_over(&other, &bytes, apart + 1))
+                    } else {
+                        let end = begin + other.len() as f64 * byte;
+                        self.say(other, begin - ended);
+                        ended = end;
+                        (delay, bytes)
+                    }
+                }
             });
         }
-        if let Some(bytes) = spoken {
-            self.say(bytes, delay);
+        if let Some((begin, bytes)) = last {
+            self.say(bytes, begin - ended);
         }
     }
 
@@ -285,7 +307,10 @@ impl Emulator {
         let mut delay = 0.0;
         for id in ids {
             let Some(servo) = self.servos.iter().find(|servo| {
-                servo.id() == *id && hears(servo) && servo.firmware() >= FAST_FIRMWARE
+                servo.id() == *id
+                    && hears(servo)
+                    && servo.firmware() >= FAST_FIRMWARE
+                    && servo.answers(instruction::FAST_SYNC_READ)
             }) else {
                 break;
             };
@@ -332,6 +357,14 @@ impl Emulator {
             .wrapping_add(1_442_695_040_888_963_407);
         ((self.seed >> 33) as usize * count) >> 31
     }
+}
+
+/// Two answers on one wire, the second begun some bytes later: a bit is up only where both leave it up.
+fn laid_over(first: &[u8], second: &[u8], late: usize) -> Vec<u8> {
+    let at = |bytes: &[u8], k: Option<usize>| k.and_then(|k| bytes.get(k).copied()).unwrap_or(0xFF);
+    let length = first.len().max(second.len() + late);
+    let both = |k: usize| at(first, Some(k)) & at(second, k.checked_sub(late));
+    (0..length).map(both).collect()
 }
 
 /// What one servo does when it is asked by itself.

@@ -4,7 +4,7 @@
 //! load (mA over ticks, a table). Without torque the load turns the horn back until it is no more than friction.
 //! Heat is one node: dT/dt = heating·I² − (T − room)/cooling.
 
-use crate::registers::{FULL_PWM, Model};
+use crate::registers::{FULL_PWM, Model, VELOCITY_STEP};
 
 /// s between two steps of the motor.
 pub const STEP: f64 = 0.001;
@@ -61,8 +61,9 @@ pub(super) struct Caps {
 }
 
 impl Caps {
-    /// Those of `model` while its registers of goal current and goal PWM say `goal` and `pwm`. PWM slows it down as well.
-    pub fn of(model: &Model, goal: i32, pwm: i32) -> Caps {
+    /// Those of `model` while its registers of goal current, goal PWM and profile velocity (0: none) say `goal`, `pwm` and
+    /// `profile`. PWM slows it down as well.
+    pub fn of(model: &Model, goal: i32, pwm: i32, profile: i32) -> Caps {
         let share = f64::from(pwm) / f64::from(FULL_PWM);
         let (now, largest) = if model.has_current() {
             let unit = model.current_unit;
@@ -73,10 +74,14 @@ impl Caps {
         } else {
             (share * model.stall.1, model.stall.1)
         };
+        let fastest = share * model.fastest_turn();
         Caps {
             now,
             largest,
-            fastest: share * model.fastest_turn(),
+            fastest: match profile {
+                0 => fastest,
+                steps => fastest.min(f64::from(steps) * VELOCITY_STEP),
+            },
         }
     }
 }

@@ -8,7 +8,7 @@ use std::collections::VecDeque;
 pub use super::motor::{Broken, Motion};
 use super::motor::{Caps, Motor, STEP};
 use super::table::{Table, refusal};
-use crate::packet::instruction;
+use crate::packet::{HIGHEST_ID, instruction};
 use crate::registers::{ALERT, FULL_PWM, Model, TICKS_PER_TURN, VELOCITY_STEP, mode};
 
 /// s that a reset takes.
@@ -17,6 +17,11 @@ pub const RESET: f64 = 0.3;
 const STRAINED: f64 = 0.95;
 const PATIENCE: f64 = 1.0;
 const OVERLOAD: u8 = 0x20;
+/// Its position gain P as delivered, that of an XL330; nothing here acts on it.
+const GAIN: i32 = 400;
+/// Bits of its drive mode: directions turned round, and torque that a goal switches on.
+const REVERSED: i32 = 1;
+const ON_BY_GOAL: i32 = 8;
 
 #[derive(Debug, Clone)]
 pub struct Servo {
@@ -88,6 +93,21 @@ impl Servo {
         self.table.get(self.model.layout().id) as u8
     }
 
+    /// Whether it does what is asked of `id`: of its own, or of its secondary one (register 12), which it never answers.
+    pub fn obeys(&self, id: u8) -> bool {
+        let shadow = self.table.get(self.model.layout().shadow_id) as u8;
+        self.id() == id || shadow == id && shadow <= HIGHEST_ID
+    }
+
+    /// 1, or −1 where its drive mode turns every direction round.
+    fn way(&self) -> f64 {
+        if self.table.get(self.model.layout().drive_mode) & REVERSED == 0 {
+            1.0
+        } else {
+            -1.0
+        }
+    }
+
     pub fn set_id(&mut self, id: u8) {
         self.table.set(self.model.layout().id, i32::from(id));
     }
@@ -119,6 +139,7 @@ impl Servo {
                 instruction::PING
                     | instruction::READ
                     | instruction::SYNC_READ
+                    | instruction::FAST_SYNC_READ
                     | instruction::BULK_READ
             ),
             _ => true,
@@ -205,11 +226,26 @@ impl Servo {
         self.strained = 0.0;
         self.waiting = None;
         self.table.set(layout.status_return, 2);
-        self.table
-            .set(layout.goal_pwm, self.table.get(layout.pwm_limit));
-        self.table
-            .set(layout.goal_current, self.table.get(layout.current_limit));
+        self.begin_mode();
         self.stay();
+    }
+
+    /// Gains, profile and goal PWM as they are in an operating mode that was just chosen.
+    fn begin_mode(&mut self) {
+        let layout = self.model.layout();
+        for (register, value) in [
+            (layout.position_p, GAIN),
+            (layout.position_i, 0),
+            (layout.position_d, 0),
+            (layout.feedforward_1, 0),
+            (layout.feedforward_2, 0),
+            (layout.profile_velocity, 0),
+            (layout.profile_acceleration, 0),
+            (layout.goal_pwm, self.table.get(layout.pwm_limit)),
+            (layout.goal_current, self.table.get(layout.current_limit)),
+        ] {
+            self.table.set(register, value);
+        }
     }
 
     /// It has started already.
@@ -255,10 +291,17 @@ impl Servo {
         let touched = self.table.write(self.model, address, data)?;
         if touched(layout.goal_position) {
             let goal = self.table.get(layout.goal_position);
+            let enables = self.table.get(layout.drive_mode) & ON_BY_GOAL != 0;
+            if enables && self.table.get(layout.hardware_error) == 0 {
+                self.table.set(layout.torque_enable, 1);
+            }
             self.goals
                 .push_back((self.time + self.motor.motion.delay, goal));
         } else if touched(layout.torque_enable) && self.torque() {
             self.stay();
+        }
+        if touched(layout.operating_mode) {
+            self.begin_mode();
         }
         self.fed = self.time;
         Ok(())
@@ -289,7 +332,7 @@ impl Servo {
             .set(layout.moving, i32::from(self.motor.speed.abs() > 10.0));
         self.table.set(
             layout.present_velocity,
-            (self.motor.speed / VELOCITY_STEP) as i32,
+            (self.way() * self.motor.speed / VELOCITY_STEP) as i32,
         );
         self.table
             .set(layout.present_voltage, (self.volts * 10.0) as i32);
@@ -316,11 +359,13 @@ impl Servo {
                 .map_or(self.arrived, |(_, goal)| goal);
         }
         let torque = self.torque();
-        let goal = f64::from(self.arrived) + self.base;
+        let goal = self.way() * f64::from(self.arrived) + self.base;
+        let least = |goal, limit| self.table.get(goal).min(self.table.get(limit));
         let caps = Caps::of(
             self.model,
-            self.table.get(layout.goal_current),
-            self.table.get(layout.goal_pwm),
+            least(layout.goal_current, layout.current_limit),
+            least(layout.goal_pwm, layout.pwm_limit),
+            self.table.get(layout.profile_velocity),
         );
         let current = self.motor.step(
             (torque && self.time >= self.asleep).then_some(goal),
@@ -343,11 +388,11 @@ impl Servo {
             1e-3 * self.model.stall.1
         };
         self.table
-            .set(layout.present_current, (current / unit) as i32);
+            .set(layout.present_current, (self.way() * current / unit) as i32);
     }
 
     fn position(&self) -> i32 {
-        (self.motor.measured - self.base).round() as i32
+        (self.way() * (self.motor.measured - self.base)).round() as i32
     }
 }
 

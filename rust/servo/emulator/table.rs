@@ -1,6 +1,6 @@
 //! The registers of an emulated servo, and what it refuses to have written into them.
 
-use crate::registers::{FARTHEST_GOAL, Model, Register, mode};
+use crate::registers::{FARTHEST_GOAL, FULL_PWM, Model, Register, mode};
 
 /// Bytes of registers that are kept.
 const SIZE: usize = 256;
@@ -102,6 +102,7 @@ impl Table {
             ),
         };
         let current = after.get(layout.current_limit);
+        let pwm = after.get(layout.pwm_limit);
         let checks = [
             (layout.id, 0, 252, refusal::RANGE),
             (
@@ -121,6 +122,8 @@ impl Table {
             (layout.torque_enable, 0, 1, refusal::RANGE),
             (layout.status_return, 0, 2, refusal::RANGE),
             (layout.bus_watchdog, 0, 127, refusal::RANGE),
+            (layout.pwm_limit, 0, i32::from(FULL_PWM), refusal::RANGE),
+            (layout.goal_pwm, -pwm, pwm, refusal::LIMIT),
             (layout.goal_current, -current, current, refusal::LIMIT),
             (goal, low, high, refusal::LIMIT),
         ];

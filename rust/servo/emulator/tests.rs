@@ -313,3 +313,52 @@ fn blocked_horns_stand_turns_are_lost_and_tendons_wound_the_other_way() {
         "{plain} {other}"
     );
 }
+
+#[test]
+fn drive_mode_secondary_id_profile_and_limits_do_what_the_manual_says() {
+    let mut bus = engaged(&[1, 2]);
+    let off = X_SERIES.torque_enable.address;
+    for id in [1, 2] {
+        assert_eq!(bus.write(id, off, &[0]), FINE);
+    }
+    // Turned round: the encoder counts the other way, and so do goals.
+    assert_eq!(bus.write(1, X_SERIES.drive_mode.address, &[9]), FINE);
+    bus.port().pass(0.01);
+    assert_eq!(position(&mut bus, 1), -2000);
+    assert!(!bus.port().emulator.servos[0].torque());
+    goals(&mut bus, &[1], &[-2200]);
+    bus.port().pass(1.0);
+    assert!(
+        bus.port().emulator.servos[0].torque(),
+        "a goal switched it on"
+    );
+    assert!((bus.port().emulator.servos[0].angle() - 2200.0).abs() < 5.0);
+    assert_eq!(bus.write(1, off, &[0]), FINE);
+    assert_eq!(bus.write(1, X_SERIES.drive_mode.address, &[0]), FINE);
+    // A secondary id obeys and never answers.
+    assert_eq!(bus.write(2, X_SERIES.shadow_id.address, &[1]), FINE);
+    assert_eq!(bus.write(1, X_SERIES.led.address, &[1]), FINE);
+    let mut led = [0];
+    assert_eq!(bus.read(2, X_SERIES.led.address, &mut led), FINE);
+    assert_eq!(led, [1], "what was written to servo 1");
+    assert_eq!(bus.write(2, X_SERIES.shadow_id.address, &[255]), FINE);
+    // A profile makes it slow, a PWM limit caps its goal PWM.
+    let profile = X_SERIES.profile_velocity.address;
+    assert_eq!(bus.write(2, profile, &10i32.to_le_bytes()), FINE);
+    assert_eq!(bus.write(2, off, &[1]), FINE);
+    goals(&mut bus, &[2], &[2400]);
+    bus.port().pass(1.0);
+    let moved = bus.port().emulator.servos[1].angle() - 2000.0;
+    assert!((100.0..=157.0).contains(&moved), "{moved}");
+    assert_eq!(bus.write(2, off, &[0]), FINE);
+    assert_eq!(bus.write(2, X_SERIES.pwm_limit.address, &[100, 0]), FINE);
+    let goal = X_SERIES.goal_pwm.address;
+    assert_eq!(bus.write(2, goal, &[200, 0]), Err(Fault::Refused(6)));
+    // Another operating mode brings its own gains and no profile.
+    assert_eq!(bus.write(2, X_SERIES.position_p.address, &[9, 0]), FINE);
+    assert_eq!(bus.write(2, X_SERIES.operating_mode.address, &[3]), FINE);
+    let (mut gain, mut velocity) = ([0; 2], [0; 4]);
+    assert_eq!(bus.read(2, X_SERIES.position_p.address, &mut gain), FINE);
+    assert_eq!(bus.read(2, profile, &mut velocity), FINE);
+    assert_eq!((gain, velocity), (400i16.to_le_bytes(), [0; 4]));
+}

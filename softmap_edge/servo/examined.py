@@ -1,0 +1,146 @@
+"""The servos of a rig, asked one by one: what each is, what keeps it from being driven, what a start writes again.
+
+Homing, the doctor and each start (`loop.py`) ask here, so that all of them find the same. Pinned by
+tests/test_known_state.py and tests/test_presence.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from softmap_edge import _core
+from softmap_edge.errors import NoAnswer, ServoError
+from softmap_edge.servo.bus import opened, patiently, pinged, registers
+from softmap_edge.servo.known_state import Asked, Found, Need, Values, complaints, gains_of, passing, usual
+from softmap_edge.servo.models import numbered, servo_model
+from softmap_edge.servo.presence import muted, shared, shares, why_silent
+from softmap_edge.servo.rig import Rig
+
+
+@dataclass(frozen=True)
+class Member:
+    """A servo that should be there: its id and model number, and what is asked of it."""
+
+    id: int
+    number: int
+    asked: Asked
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What answers in the place of a servo (None: nothing), and what keeps it from being driven, a sentence each: what
+    was found, and behind "; " what to do. `passing` are registers that a start writes again."""
+
+    id: int
+    found: Found | None
+    wrong: tuple[str, ...]
+    passing: tuple[Need, ...] = ()
+    values: Values = field(default_factory=dict)
+
+
+def members(rig: Rig) -> list[Member]:
+    """Return the servos of a rig with what it asks of each."""
+    from softmap_edge.servo.combined import of_bench
+
+    found = []
+    for servo, (id, number) in zip(rig.servos, rig.numbers):
+        bench, plain = of_bench(rig, servo), usual(servo_model(servo.model))
+        current = (bench("current_mA") or (plain.current_mA,))[0]
+        slew = (bench("slew") or (plain.slew,))[0]
+        found.append(Member(id, number, Asked(float(current), float(slew), gains_of(rig.made, id))))
+    return found
+
+
+def members_of(servos: Sequence[Sequence[int]], limits: Any, gains: Sequence[Sequence[int]]) -> list[Member]:
+    """Return the servos (id, model number) of a loop whose guard keeps to `limits`; gains as their rig knows them."""
+    known = [tuple(one) for one in gains] or [()] * len(servos)
+    found = []
+    for (id, number), one, own in zip(servos, limits["servos"], known):
+        model = numbered(number)
+        most = one["current"] if model is None or one["current"] is not None else usual(model).current_mA
+        found.append(Member(id, number, Asked(float(most), float(one["slew"]), own)))
+    return found
+
+
+def examined(port: str, baud: int, asked: Sequence[Member], *, release: bool = False) -> list[Seen]:
+    """Ask the servos that should be at `port` what they are.
+
+    Args:
+        port, baud: where. asked: the servos. release: switch the torque of all of them off first.
+
+    Raises:
+        ServoError: the port cannot be opened, another program has it, or it fails.
+    """
+    with opened(port, baud) as bus:
+        for _ in range(3 if release else 0):
+            bus.release()
+        seen = [_one(bus, member) for member in asked]
+    listed = [member.id for member in asked]
+    return [
+        one if one.found is not None or one.wrong else Seen(one.id, None, (why_silent(port, baud, one.id, listed),))
+        for one in seen
+    ]
+
+
+def refusal(seen: Sequence[Seen]) -> str:
+    """Return in one line what keeps servos from being driven and what mends it; empty where nothing does."""
+    lines = []
+    for one in seen:
+        by_remedy: dict[str, list[str]] = {}
+        for text in one.wrong:
+            found, _, do = text.partition("; ")
+            by_remedy.setdefault(do, []).append(found)
+        parts = [", ".join(found) + (f"; {do}" if do else "") for do, found in by_remedy.items()]
+        lines += [f"servo {one.id}{'' if part.startswith('answers') else ':'} {part}" for part in parts]
+    return "; ".join(lines)
+
+
+def started(port: str, baud: int, asked: Sequence[Member]) -> list[str]:
+    """Refuse servos that are not as they must be; write registers that pass with the power as they must be.
+
+    Returns:
+        What was written again, a line each.
+
+    Raises:
+        ServoError: a servo is not as it must be, or does not answer; the line says what mends it.
+    """
+    seen = examined(port, baud, asked)
+    if said := refusal(seen):
+        raise ServoError(said)
+    if not any(one.passing for one in seen):
+        return []
+    with opened(port, baud) as bus:
+        return [_written(bus, one, need) for one in seen for need in one.passing]
+
+
+def _one(bus: _core.ServoBus, member: Member) -> Seen:
+    before = bus.counts()["unasked"]
+    if (told := pinged(bus, member.id)) is None:
+        return Seen(member.id, None, ())
+    found = Found(bus.port, bus.baud, member.id, *told)
+    if found.number != member.number:
+        names = [model["name"] if (model := numbered(number)) else "an unknown model" for number in told[:1]]
+        listed = numbered(member.number)
+        said = (
+            f"it is {names[0]} ({found.number}), the rig says {listed['name'] if listed else 'another model'} "
+            f"({member.number}); mend the rig, or connect the servo that it names"
+        )
+        return Seen(member.id, found, (said,))
+    try:
+        values = registers(bus, member.id)
+    except NoAnswer:
+        return Seen(member.id, found, (muted(bus, member.id),))
+    wrong = complaints(found, values, member.asked)
+    if bus.counts()["unasked"] > before and shared(bus, member.id):
+        wrong.insert(0, shares(bus, member.id))
+    return Seen(member.id, found, tuple(wrong), tuple(passing(found, values, member.asked)), values)
+
+
+def _written(bus: _core.ServoBus, one: Seen, need: Need) -> str:
+    """Write what passes with the power, and return the line that says so."""
+    address, size, _ = _core.servo_registers()[need.register]
+    patiently(bus.write, one.id, address, need.value.to_bytes(size, "little", signed=need.value < 0))
+    name = need.register.replace("_", " ")
+    return f"servo {one.id}: {name} was {one.values[need.register]}, left by another program: it is {need.value} now"

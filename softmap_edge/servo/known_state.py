@@ -1,0 +1,206 @@
+"""What the registers of a servo must hold to be driven, what differs, and what mends it: one list for all that look.
+
+`softmap servo setup` makes it so. `servo read`, the doctor, homing and each start look again, since another program may
+have left anything there. Registers that lose their value with the power (profile, gains) are written again by a start.
+Sources: the X-series control tables and their known traps: turns are counted in modes 4 and 5 only, a homing offset
+makes a watchdog dangerous there on old firmware, a return delay costs bus time, a reversed drive mode turns goal and
+position round alike, so that nothing else notices it. The gains of a mode are the servo's own and depend on its
+firmware: setting up lets the servo choose them again, and the rig keeps what it chose (`[made.set_up]`). Pinned by
+tests/test_known_state.py.
+"""
+
+from __future__ import annotations
+
+import math
+import shlex
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from softmap_edge import _core
+from softmap_edge.servo.limits import CURRENT, SLEW, slowed, strongest
+from softmap_edge.servo.models import Entry, numbered
+
+CLEAR = 42  # firmware below which a tripped watchdog lets the motor run on, in mode 4 with a homing offset
+OLD = 38  # firmware below which there is no bus watchdog
+NO_SHADOW, HIGHEST_ID = 255, 252
+ALWAYS = 2  # status return level: every question is answered
+MODES = {
+    0: "current", 1: "velocity", 3: "position", 4: "extended position", 5: "current-based position", 16: "PWM",
+}  # fmt: skip
+SIGNED = ("homing_offset", "goal_position", "present_position", "present_current", "present_velocity", "present_pwm",
+          "goal_current", "goal_pwm")  # fmt: skip
+GAINS = ("position_p_gain", "position_i_gain", "position_d_gain", "feedforward_1st_gain", "feedforward_2nd_gain")
+MOST_GAIN = 16_383
+SET_UP = "set_up"  # in [made] of a rig: the gains of each servo, in the order of GAINS
+Values = dict[str, int]
+
+
+@dataclass(frozen=True)
+class Found:
+    """A servo that answered: where, and what it is."""
+
+    port: str
+    baud: int
+    id: int
+    number: int
+    firmware: int
+
+    @property
+    def model(self) -> Entry | None:
+        """What is known of its model."""
+        return numbered(self.number)
+
+    def __str__(self) -> str:
+        name = self.model["name"] if self.model else f"unknown model {self.number}"
+        return f"{self.port} at {self.baud} baud: id {self.id}, {name}, firmware {self.firmware}"
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What a rig asks of a servo: the largest current of its cap (mA), its fastest turn (ticks/s), and the gains that
+    it had when it was set up (in the order of GAINS; none where the rig does not know them)."""
+
+    current_mA: float
+    slew: float
+    gains: tuple[int, ...] = ()
+
+
+@dataclass(frozen=True)
+class Need:
+    """What a register must hold: `value`, or anything from `least` on. A start writes what is `passing` by itself."""
+
+    register: str
+    value: int
+    least: int | None = None
+    passing: bool = False
+
+    def met(self, value: int) -> bool:
+        """Return whether `value` will do."""
+        return value == self.value if self.least is None else value >= self.least
+
+
+def usual(model: Entry) -> Asked:
+    """Return what is asked of a servo where no rig is given."""
+    most = CURRENT * strongest(model)
+    return Asked(most, min(SLEW, slowed(model, most)))
+
+
+def most(model: Entry) -> Asked:
+    """Return the most that can be asked of a servo: what it gives as delivered."""
+    return Asked(strongest(model), float(model["fastest_ticks_per_s"]))
+
+
+def needs(model: Entry, asked: Asked | None = None) -> list[Need]:
+    """Return what the registers of a servo must hold to be driven, in the order in which they are written.
+
+    Args:
+        model: what is known of its model. asked: by the rig, the usual without one.
+    """
+    asked = usual(model) if asked is None else asked
+    found = [
+        Need("operating_mode", model["operating_mode"]),
+        Need("homing_offset", 0),
+        Need("return_delay_time", 0),
+        Need("drive_mode", 0),
+        Need("secondary_id", NO_SHADOW, HIGHEST_ID + 1),
+        Need("status_return_level", ALWAYS),
+        Need("startup_configuration", 0),
+        Need("pwm_limit", model["pwm_limit"]),
+        Need("velocity_limit", model["velocity_limit"], _steps(model, asked.slew)),
+        Need("profile_velocity", 0, passing=True),
+        Need("profile_acceleration", 0, passing=True),
+    ]
+    if (unit := model["current_unit_mA"]) is not None:
+        least = min(math.floor(asked.current_mA / unit), model["current_limit"])
+        found.append(Need("current_limit", model["current_limit"], least))
+        found.append(Need("goal_pwm", model["pwm_limit"], passing=True))
+    return found + [Need(name, gain, passing=True) for name, gain in zip(GAINS, asked.gains)]
+
+
+def differing(model: Entry, values: Values, asked: Asked | None = None) -> list[Need]:
+    """Return the needs that the registers `values` of a servo do not meet."""
+    return [need for need in needs(model, asked) if not need.met(values[need.register])]
+
+
+def complaints(found: Found, values: Values, asked: Asked | None = None) -> list[str]:
+    """Return what keeps a servo from being driven, a sentence each: what was found, and behind "; " what to do."""
+    model = found.model
+    if model is None:
+        known = ", ".join(one["name"] for one in _core.servo_models())
+        return [f"model {found.number} is not known; known are {known}"]
+    remedy = f"run {setup_command(found.port, found.baud, found.id)}"
+    lines = [
+        f"{differs(found, need, values[need.register], asked)}; {remedy}"
+        for need in differing(model, values, asked)
+        if not need.passing
+    ]
+    if values["hardware_error_status"]:
+        lines.append(f"it reports {hardware(values['hardware_error_status'])}; {restart(found)}")
+    if values["torque_enable"]:
+        lines.append("its torque is on: another program drives it, or one died; `softmap servo off` releases it")
+    if found.firmware < OLD:
+        lines.append(too_old(found))
+    return lines
+
+
+def passing(found: Found, values: Values, asked: Asked | None = None) -> list[Need]:
+    """Return the needs that are not met and that a start writes by itself."""
+    model = found.model
+    return [] if model is None else [need for need in differing(model, values, asked) if need.passing]
+
+
+def differs(found: Found, need: Need, value: int, asked: Asked | None = None) -> str:
+    """Return in words what a register holds, and what it must hold: `drive mode is 9, needed is 0`."""
+    model = found.model
+    if need.register == "current_limit" and model is not None:
+        cap = (usual(model) if asked is None else asked).current_mA
+        unit = model["current_unit_mA"]
+        return f"its current limit ({value * unit:.0f} mA) is below the cap ({cap:.0f} mA)"
+    least = "" if need.least is None or need.register == "secondary_id" else "at least "
+    return f"{holds(found, need.register, value)}, needed is {least}{need.value if not least else need.least}"
+
+
+def holds(found: Found, register: str, value: int) -> str:
+    """Return in words what a register holds, and why that is dangerous where it is."""
+    note = f" ({MODES.get(value, 'unknown')})" if register == "operating_mode" else ""
+    if register == "homing_offset" and found.firmware < CLEAR:
+        note = f" (with one, firmware {found.firmware} lets the motor run on when its watchdog trips in mode 4)"
+    return f"{register.replace('_', ' ')} is {value}{note}"
+
+
+def too_old(found: Found) -> str:
+    """Return what is to be said of firmware without a watchdog."""
+    update = f"update it to {_core.FAST_FIRMWARE} with Dynamixel Wizard"
+    return f"its firmware {found.firmware} has no bus watchdog; {update}"
+
+
+def hardware(bits: int) -> str:
+    """Return the hardware errors of register 70 in words."""
+    known = [text for bit, text in _core.HARDWARE_ERRORS if bits & bit]
+    left = bits & ~sum(bit for bit, _ in _core.HARDWARE_ERRORS)
+    return ", ".join([*known, *([f"error {left:#04x}"] if left else [])])
+
+
+def restart(found: Found) -> str:
+    """Return what leads on from a hardware error."""
+    where = f"--port {shlex.quote(found.port)} --baud {found.baud} --id {found.id}"
+    return f"find the cause, then run `softmap servo reboot {where}` (or switch its supply off and on)"
+
+
+def setup_command(port: str, baud: int, id: int, more: str = "") -> str:
+    """Return the command that sets one servo up."""
+    return f"`softmap servo setup --port {shlex.quote(port)} --baud {baud} --id {id}{more}`"
+
+
+def _steps(model: Entry, slew: float) -> int:
+    """Return the velocity limit that lets a servo turn at `slew` ticks/s, at most the one as delivered."""
+    share = min(1.0, slew / float(model["fastest_ticks_per_s"]))
+    return math.ceil(share * int(model["velocity_limit"]) - 1e-9)
+
+
+def gains_of(rig_made: Mapping[str, Mapping[str, Any]], id: int) -> tuple[int, ...]:
+    """Return the gains that a servo had when it was set up, by `[made]` of its rig; none where that is not known."""
+    kept = rig_made.get(SET_UP, {}).get(f"servo_{id}", [])
+    whole = isinstance(kept, list) and len(kept) == len(GAINS)
+    return tuple(kept) if whole and all(type(one) is int and 0 <= one <= MOST_GAIN for one in kept) else ()

@@ -1,0 +1,179 @@
+"""What setting up makes sure of is looked at by each start, homing and the doctor, and the command named mends it."""
+
+import re
+import shlex
+
+import pytest
+from other_program import leave
+from rigs import BAUD, HOME, MODEL, bench, calibration, torque
+
+from softmap_edge import _core, doctor
+from softmap_edge.cli import main
+from softmap_edge.commissioning import setup
+from softmap_edge.commissioning.jog import Jog
+from softmap_edge.errors import ServoError
+from softmap_edge.servo.bus import opened
+from softmap_edge.servo.controller import Controller
+from softmap_edge.servo.examined import examined, members, members_of, refusal, started
+from softmap_edge.servo.known_state import GAINS, SET_UP, differing, gains_of, needs
+from softmap_edge.servo.models import numbered, servo_model
+from softmap_edge.servo.rig import Rig, RigServo, read_rig
+
+LEFT = {
+    "drive_mode": (9, "drive mode is 9, needed is 0"),
+    "secondary_id": (2, "secondary id is 2, needed is 255"),
+    "status_return_level": (1, "status return level is 1, needed is 2"),
+    "current_limit": (20, "its current limit (20 mA) is below the cap (612 mA)"),
+    "pwm_limit": (300, "pwm limit is 300, needed is 885"),
+    "velocity_limit": (30, "velocity limit is 30, needed is at least 128"),
+    "startup_configuration": (1, "startup configuration is 1, needed is 0"),
+    "homing_offset": (-77, "homing offset is -77, needed is 0"),
+    "return_delay_time": (100, "return delay time is 100, needed is 0"),
+    "operating_mode": (3, "operating mode is 3 (position), needed is 5"),
+}
+
+
+def remedy(line):
+    """Return the arguments of the first command that a line names."""
+    return shlex.split(re.search(r"`softmap ([^`]+)`", line)[1])
+
+
+@pytest.mark.parametrize("register", LEFT)
+def test_what_another_program_left_is_refused_and_the_command_named_mends_it(register):
+    value, said = LEFT[register]
+    with bench() as (bus, rig, _):
+        leave(bus.path, BAUD, **{register: value})
+        with pytest.raises(ServoError) as fault:
+            started(rig.port, rig.baud, members(rig))
+        line = str(fault.value)
+        assert line.startswith(f"servo 1: {said}; run `softmap servo setup --port {bus.path} --baud {BAUD} --id 1`")
+        assert main(remedy(line)) == 0
+        assert started(rig.port, rig.baud, members(rig)) == []
+        assert refusal(examined(rig.port, rig.baud, members(rig))) == ""
+
+
+def test_all_that_differs_is_listed_with_one_command():
+    with bench() as (bus, rig, _):
+        leave(bus.path, BAUD, drive_mode=1, secondary_id=9)
+        leave(bus.path, BAUD, 2, homing_offset=5)
+        with pytest.raises(ServoError) as fault:
+            started(rig.port, rig.baud, members(rig))
+        one, two = (f"run `softmap servo setup --port {bus.path} --baud {BAUD} --id {id}`" for id in (1, 2))
+        assert str(fault.value) == (
+            f"servo 1: drive mode is 1, needed is 0, secondary id is 9, needed is 255; {one}; "
+            f"servo 2: homing offset is 5, needed is 0; {two}"
+        )
+
+
+def test_a_reversed_drive_mode_is_seen_by_all_that_drive(tmp_path, capsys):
+    file = str(tmp_path / "rig.toml")
+    with bench() as (bus, rig, limits):
+        rig.write(file)
+        leave(bus.path, BAUD, drive_mode=9)
+        said = "servo 1: drive mode is 9, needed is 0; run `softmap servo setup"
+        for start in (lambda: Controller(rig, calibration(), limits).__enter__(), lambda: Jog(rig).__enter__()):
+            with pytest.raises(ServoError, match=re.escape(said)):
+                start()
+        for argv in (
+            ["servo", "home", "--rig", file, "--yes"],
+            ["move", "--rig", file, "--servo", "1", "--by", "50", "--hold"],
+        ):
+            assert main(argv) == 2
+            assert said in capsys.readouterr().err
+        lines = [line for line in doctor.examine(rig=file).lines if line.name == "servo 1"]
+        assert [line.found for line in lines] == ["drive mode is 9, needed is 0"] and "servo setup" in lines[0].do
+        assert main(["servo", "read", "--port", bus.path, "--baud", str(BAUD), "--id", "1"]) == 1
+        assert "! drive mode is 9, needed is 0; run" in capsys.readouterr().out
+        assert not torque(bus)
+
+
+PASSES = {
+    "profile_velocity": 5,
+    "profile_acceleration": 3,
+    "position_p_gain": 50,
+    "position_d_gain": 9,
+    "goal_pwm": 100,
+}
+
+
+@pytest.mark.parametrize("register", PASSES)
+def test_what_passes_with_the_power_is_written_anew_by_a_start(register):
+    with bench() as (bus, rig, _):
+        assert main(["servo", "setup", "--port", bus.path, "--baud", str(BAUD), "--id", "1"]) == 0
+        kept = {SET_UP: {"servo_1": setup.gains(setup.Found(bus.path, BAUD, 1, 1200, 46))}}
+        known = Rig(rig.port, rig.baud, rig.servos, made=kept)
+        with opened(bus.path, BAUD) as port:
+            before = setup.registers(port, 1)
+        leave(bus.path, BAUD, **{register: PASSES[register]})
+        name = register.replace("_", " ")
+        assert started(rig.port, rig.baud, members(known)) == [
+            f"servo 1: {name} was {PASSES[register]}, left by another program: it is {before[register]} now"
+        ]
+        with opened(bus.path, BAUD) as port:
+            assert setup.registers(port, 1)[register] == before[register]
+        assert started(rig.port, rig.baud, members(known)) == []
+
+
+def test_a_start_says_what_it_wrote_anew():
+    with bench() as (bus, rig, limits):
+        leave(bus.path, BAUD, 2, profile_velocity=7)
+        told = []
+        with Controller(rig, calibration(), limits, tell=told.append) as robot:
+            line = "servo 2: profile velocity was 7, left by another program: it is 0 now"
+            assert robot.mended == [line] and told == [line]
+
+
+@pytest.mark.parametrize(
+    "values", [{"current_limit": 700}, {"velocity_limit": 500}, {"secondary_id": 253}, {"position_p_gain": 900}]
+)
+def test_what_binds_nothing_is_left_as_its_user_chose_it(values):
+    """A current limit above the cap protects; gains that no rig knows are the user's own."""
+    with bench() as (bus, rig, _):
+        leave(bus.path, BAUD, **values)
+        assert started(rig.port, rig.baud, members(rig)) == []
+        with opened(bus.path, BAUD) as port:
+            now = setup.registers(port, 1)
+        assert {name: now[name] for name in values} == values
+
+
+def test_limits_are_held_against_what_is_in_force():
+    with bench() as (bus, rig, limits):
+        leave(bus.path, BAUD, current_limit=300)
+        found = members_of(rig.numbers, limits, [])
+        assert "(300 mA) is below the cap (612 mA)" in refusal(examined(rig.port, rig.baud, found))
+        tight = limits | {"servos": [one | {"current": 157.0} for one in limits["servos"]]}
+        assert refusal(examined(rig.port, rig.baud, members_of(rig.numbers, tight, []))) == ""
+        capped = Rig(rig.port, rig.baud, (RigServo(1, MODEL, HOME, current_mA=250.0), rig.servos[1]))
+        assert refusal(examined(rig.port, rig.baud, members(capped))) == ""
+
+
+def test_each_model_as_delivered_lacks_only_what_setting_up_gives():
+    for model in _core.servo_models():
+        found = numbered(model["number"])
+        bus = _core.EmulatedBus([(1, model["number"], 57_600, 500.0)], [[]])
+        with opened(bus.path, 57_600) as port:
+            lacks = {need.register for need in differing(found, setup.registers(port, 1))}
+        bus.unplug()
+        assert lacks == {"operating_mode", "return_delay_time"}, model["name"]
+        names = [need.register for need in needs(found)]
+        assert ("current_limit" in names) == (found["current_limit_mA"] is not None)
+
+
+def test_the_rig_keeps_the_gains_of_a_servo_that_was_set_up(tmp_path, capsys):
+    file = tmp_path / "rig.toml"
+    with bench() as (bus, _, _):
+        argv = ["servo", "setup", "--port", bus.path, "--baud", str(BAUD), "--rig", str(file), "--id"]
+        leave(bus.path, BAUD, position_p_gain=1)
+        assert main([*argv, "1"]) == 0 and main([*argv, "2"]) == 0
+        assert "position p gain is 1: it becomes 400" in capsys.readouterr().out
+        rig = read_rig(file)
+        assert gains_of(rig.made, 1) == gains_of(rig.made, 2) == (400, 0, 0, 0, 0)
+        assert len(GAINS) == 5
+        leave(bus.path, BAUD, position_p_gain=20)
+        assert started(rig.port, rig.baud, members(rig))[0].startswith("servo 1: position p gain was 20")
+
+
+@pytest.mark.parametrize("kept", [[1, 2], [1, 2, 3, 4, "5"], [1, 2, 3, 4, -5], "no list", [10**9] * 5, [True] * 5])
+def test_gains_that_a_rig_cannot_hold_count_for_nothing(kept):
+    assert gains_of({SET_UP: {"servo_1": kept}}, 1) == ()
+    assert servo_model(MODEL)["pwm_limit"] == 885
