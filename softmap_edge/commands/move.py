@@ -98,7 +98,7 @@ def _bench(args: argparse.Namespace) -> Iterator[Rig]:
         yield read_rig(args.rig)
         return
     model = open_model(args.bundle)
-    with emulated(model) as robot:
+    with emulated(model, person=True) as robot:
         yield robot.rig
 
 
@@ -152,13 +152,13 @@ def _go(args: argparse.Namespace) -> int:
         robot = Controller(there.rig, there.calibration, there.limits)
         with driving(robot):
             done, sent, arrived = robot.engage(u), None, None
-            while arrived is None or time.monotonic() - arrived < args.seconds:
-                done, now = robot.target(u), time.monotonic()
+            while arrived is None or robot.time.now() - arrived < args.seconds:
+                done, now = robot.target(u), robot.time.now()
                 off = _off(robot, done, "goal")
                 sent = now if sent is None and off < ARRIVED else sent
                 if arrived is None and sent is not None and (_off(robot, done, "position") < NEAR or now - sent > LAGS):
                     arrived = now
-                time.sleep(EVERY)
+                robot.time.sleep(EVERY)
             at = there.calibration.commands(robot.position)
     document = {"schema": "softmap.move/1", "command_mm": u.tolist(), "done_mm": done.tolist(), "at_mm": at.tolist()}
     cut = "" if np.allclose(done, u, atol=0.01) else f" (nearest to {_mm(u)} within its window)"

@@ -7,6 +7,7 @@
 mod motor;
 pub mod pty;
 pub mod servo;
+pub mod simulated;
 mod table;
 #[cfg(test)]
 pub(crate) mod virtual_port;
