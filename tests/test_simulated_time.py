@@ -19,7 +19,9 @@ from rigs import calibration
 
 from softmap_edge.emulated.finger import emulated_bench
 from softmap_edge.errors import ServoError
+from softmap_edge.experiment.command_file import write_commands
 from softmap_edge.motion.kinematics import Kinematics
+from softmap_edge.protocol import Protocol
 from softmap_edge.servo import clock
 from softmap_edge.servo.clock import BUSY
 from softmap_edge.servo.controller import Controller
@@ -242,6 +244,19 @@ def test_a_session_on_a_busy_computer_gives_what_it_gives_on_a_free_one():
     with load():
         busy = session([*TRACK, "--sim"])
     assert busy == free and free["seen_mm"]["n"] > 60
+
+
+def test_a_run_that_is_recorded_on_a_busy_computer_is_the_same_run(tmp_path):
+    t = np.arange(0.0, 2.0, 0.02)
+    u = np.stack([1.5 * np.sin(2.0 * t), 0.5 * t], axis=1)
+    looks = t[10:-10:8]
+    made = Protocol("short", t, u, np.tile([0.0, 0.0, 1.0], (len(t), 1)), looks, np.full(len(looks), "move"))
+    write_commands(tmp_path / "short.csv", made, MODEL.robot)
+    argv = ["record", str(tmp_path / "short.csv"), "--emulated", "--hide", "creep", "--json", "--out"]
+    free = session([*argv, str(tmp_path / "free.npz")])
+    with load():
+        busy = session([*argv, str(tmp_path / "busy.npz")])
+    assert free["whole"] and free["frames"] == len(looks) and free["hash"] == busy["hash"]
 
 
 @pytest.mark.prove

@@ -114,6 +114,7 @@ def _by_keys(jog: Jog, hand: Any) -> None:
     chosen, count, presses, step = 0, len(jog.rig.servos), 0, 0.0
     ended: Literal["", "window", "travel"] = ""
     while not hand.stopped:
+        jog.robot.time.there()
         key = hand.key()
         if key.isdigit() and 0 < int(key) <= count:
             chosen = int(key) - 1
@@ -129,6 +130,7 @@ def _by_keys(jog: Jog, hand: Any) -> None:
         end = ENDS[ended] if jog.robot.state == "commissioning" else ""
         print(f"\r{at}  ({words.state(jog.robot.report)}{end})\x1b[K", end="", file=sys.stderr, flush=True)
         time.sleep(EVERY)
+    jog.robot.time.there(driving=False)
     print(file=sys.stderr)
     jog.obey(hand)
 
