@@ -10,7 +10,7 @@ from hands import hand, turned
 from rigs import HOME, angles, torque
 
 from softmap_edge.signed_udp import new_key, read_key
-from softmap_edge.teleop.eyes import SEEN, FarEyes
+from softmap_edge.teleop.eyes import FarEyes
 from softmap_edge.teleop.hand import Hand, View
 from softmap_edge.teleop.landmarks_udp import Message, Receiver, Sender
 from softmap_edge.teleop.own_hand import ANOTHER, SIDES, OwnHand
@@ -131,6 +131,13 @@ def test_a_hand_that_leaves_and_another_that_enters_after_a_moment():
         assert not any(seen[2:]) and own.other
 
 
+def test_landmarks_that_are_no_numbers_are_no_hand_and_not_another():
+    broken = hand()
+    object.__setattr__(broken, "points", np.full((21, 2), np.nan))
+    seen, own = followed([hand(), broken, [broken, hand()], broken])
+    assert seen == [False, True, False] and not own.other
+
+
 def test_no_press_follows_whichever_is_surest():
     one, two = Hand(hand().points, "right", 0.4), Hand(hand().points, "left", 0.9)
     assert OwnHand().among([one, two], 1.0) is two and OwnHand().among([], 1.0) is None
@@ -203,4 +210,3 @@ def test_another_hand_over_udp_is_no_hand_either(link, which):
             kept.append(follow.among(sight.hands, sight.t) is not None)
     assert all(kept[:10]) and not any(kept[11:])
     assert follow.other == (which == "any"), "of the left hand alone `--hand right` sees nothing"
-    assert SEEN < 1.0

@@ -47,8 +47,9 @@ class OwnHand:
         Args:
             hands: all that may drive. t: s, when the picture was taken.
         """
+        hands = [hand for hand in hands if np.isfinite(hand.points).all()]
         if self._last is None:
-            return surest(list(hands))
+            return surest(hands)
         last, since = self._last, max(min(t, self._until) - self._t - PICTURE, 0.0)
         same = [hand for hand in hands if _moved(last, hand, since if hand.side == self._side else 0.0)]
         # The side decides between two hands in one picture, and how near they are where it does not.
