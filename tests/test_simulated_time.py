@@ -31,14 +31,15 @@ from softmap_edge.teleop.busy import Busy
 from softmap_edge.teleop.drive import Drive
 from softmap_edge.teleop.eyes import NoEyes
 
-BROKEN = re.compile(r"servo \d|silent|unplugged|without power|home anew|servo home|watchdog|FAULT|[Ff]ault")
+BROKEN = re.compile(r"servo \d|silent|unplugged|without power|home anew|servo home|watchdog|FAULT|Fault,")
 TRACK = ["track", "S", "--amplitude", "4", "--duration", "3", "--rate", "20", "--hide", "backlash", "--json"]
 
 
 @contextlib.contextmanager
 def load(processes=4):
-    """Keep the computer busy."""
-    spin = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(processes)]
+    """Keep the computer busy, as long as this process lives."""
+    code = f"import os\nwhile os.getppid() == {os.getpid()}: sum(range(100_000))"
+    spin = [subprocess.Popen([sys.executable, "-c", code]) for _ in range(processes)]
     try:
         yield
     finally:

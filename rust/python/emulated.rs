@@ -132,7 +132,7 @@ impl PyEmulatedBus {
         }
         let emulator = Emulator::new(made, 57_600, seed);
         let place = if simulated {
-            Place::Simulated(Simulated::open(emulator, monotonic()).map_err(trouble)?)
+            Place::Simulated(Simulated::open(emulator, monotonic()).map_err(unserved)?)
         } else {
             Place::Real(Terminal::open(emulator).map_err(trouble)?)
         };
@@ -315,4 +315,10 @@ impl PyEmulatedBus {
 
 fn seconds(time: f64) -> Duration {
     Duration::from_secs_f64(time.clamp(0.0, 1e6))
+}
+
+fn unserved(fault: std::io::Error) -> PyErr {
+    trouble(format!(
+        "no socket for simulated servos ({fault}); see that the folder for temporary files can be written (TMPDIR)"
+    ))
 }

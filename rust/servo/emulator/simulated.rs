@@ -25,6 +25,9 @@ const NAP: Duration = Duration::from_millis(50);
 /// Lateness that is made up for; what is beyond is left out.
 const LATE: Duration = Duration::from_millis(20);
 
+/// Bytes of a folder in which sockets may be: a path of theirs has 100.
+const LONGEST_FOLDER: usize = 60;
+
 /// How simulated time goes on.
 enum Pace {
     /// With real time: `at` ns were at `since`.
@@ -242,13 +245,17 @@ impl Drop for Simulated {
     }
 }
 
-/// A new folder that only this user can enter.
+/// A new folder that only this user can enter. The path of a socket has little room: a long one is not taken.
 fn folder() -> Result<PathBuf> {
     static NEXT: AtomicU64 = AtomicU64::new(0);
+    let mut usual = std::env::temp_dir();
+    if usual.as_os_str().len() > LONGEST_FOLDER {
+        usual = PathBuf::from("/tmp");
+    }
     loop {
         let number = NEXT.fetch_add(1, Ordering::Relaxed);
         let name = format!("softmap-{}-{number}", std::process::id());
-        let folder = std::env::temp_dir().join(name);
+        let folder = usual.join(name);
         match DirBuilder::new().mode(0o700).create(&folder) {
             Err(fault) if fault.kind() == std::io::ErrorKind::AlreadyExists => {}
             done => return done.map(|()| folder),
