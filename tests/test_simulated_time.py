@@ -170,7 +170,7 @@ def test_a_person_who_drives_goes_on_after_the_computer_was_busy():
         os.kill(robot._process.pid, signal.SIGSTOP)
         time.sleep(1.5)
         os.kill(robot._process.pid, signal.SIGCONT)
-        until(lambda: any(line.startswith(BUSY) for line in lines))
+        until(lambda: any(line.startswith(BUSY) for line in lines) and moments[0].busy == BUSY)
         hold.append(1.2)
         time.sleep(2.0)
         fingers.knob = (0.1, 0.0)
@@ -203,6 +203,7 @@ def test_what_a_busy_computer_took_is_told_now_and_then_and_excused():
     for k, lost in enumerate((0.1, 0.4, 0.9, 0.9, 2.0)):
         time_.lost = lost
         busy.round(2.0 + 2 * k)
+        assert busy.line(2.5 + 2 * k) == ("" if k == 3 else BUSY) and not busy.line(3.5 + 2 * k)
     assert said == [f"{BUSY}: the simulated robot stood still for {s} s, and goes on" for s in ("0.4", "1.6")]
     Clocked.simulated = False
     real = Busy(Clocked(), said.append)

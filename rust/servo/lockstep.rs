@@ -51,8 +51,8 @@ impl Lockstep {
                 forget: false,
                 gone: false,
             };
-            let mut said = [0];
-            match port.ask(HELLO, baud.into(), &[], &mut said) {
+            let mut busy = [0];
+            match port.ask(HELLO, baud.into(), &[], &mut busy) {
                 Ok(0) => return Ok(port),
                 Ok(_) if begun.elapsed() < LEAVES => sleep(AGAIN),
                 Ok(_) => return Err(OpenFault::Busy(path.to_owned())),

@@ -17,7 +17,7 @@ from softmap_edge.servo.clock import BUSY
 from softmap_edge.servo.controller import Controller
 from softmap_edge.signed_udp import dropped_words, new_key, read_key
 from softmap_edge.teleop.aim import Aim, Direct, Tip
-from softmap_edge.teleop.busy import TELLS
+from softmap_edge.teleop.busy import LONG
 from softmap_edge.teleop.drive import Drive
 from softmap_edge.teleop.eyes import CameraEyes, Eyes, FarEyes, NoEyes, camera_eyes
 from softmap_edge.teleop.far import send
@@ -207,7 +207,7 @@ def _text(told: dict[str, Any]) -> str:
         ))  # fmt: skip
     if told["refused"]:
         lines.append(dropped_words(told["refused"]))
-    if told["busy_s"] > TELLS:
+    if told["busy_s"] > LONG:
         lines.append(f"{BUSY}: the simulated robot stood still for {told['busy_s']:.1f} s in all")
     lines += [f"driving ended {count} times: {why}" for why, count in told["lost"].items()]
     lines.append("states: " + ", ".join(f"{state} {seconds:.1f} s" for state, seconds in told["states_s"].items()))

@@ -88,6 +88,7 @@ class Moment:
     led: Floats | None
     age: float | None
     lacking: str
+    busy: str = ""  # the computer is too busy for a simulated robot
 
 
 class Drive:
@@ -190,7 +191,8 @@ class Drive:
             seen = None if self._smooth is None or self._old(self._smooth.t, now) else self._smooth.x
             age = None if sight is None else now - sight.t
             led = self._led if self._clutch.stage == "driving" else None
-            self._show(Moment(now, report, self._clutch, controls, sight, seen, here, led, age, lacking))
+            busy = self._busy.line(now)
+            self._show(Moment(now, report, self._clutch, controls, sight, seen, here, led, age, lacking, busy))
 
     def _take(self) -> Sight | None:
         """Take the newest sight, once, into the filter."""

@@ -31,7 +31,7 @@ ANOTHER = "another hand is in view"
 
 
 class OwnHand:
-    """Follows one hand from picture to picture; `other` tells whether the newest picture showed another one."""
+    """Follows one hand from picture to picture; `other` is true where another one was seen in its place."""
 
     def __init__(self) -> None:
         self.begin(None, -math.inf)

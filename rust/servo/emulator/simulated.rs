@@ -37,7 +37,7 @@ enum Pace {
 }
 
 struct Clock {
-    /// ns that have passed, and that are added where they are said.
+    /// ns that have passed, and that are added where they are reported.
     now: u64,
     base: u64,
     pace: Pace,
@@ -119,7 +119,7 @@ pub struct Simulated {
 }
 
 impl Simulated {
-    /// Serve `emulator` at a socket of this user; its time is said as `base` ns and what has passed.
+    /// Serve `emulator` at a socket of this user; its clock shows `base` ns and what has passed.
     pub fn open(emulator: Emulator, base: u64) -> Result<Simulated> {
         let folder = folder()?;
         let socket = folder.join("servos");
@@ -163,7 +163,7 @@ impl Simulated {
         self.shared.emulator()
     }
 
-    /// ns, as its masters are told.
+    /// ns, as its masters see it.
     pub fn now(&self) -> u64 {
         let clock = self.shared.clock();
         clock.base + clock.now
@@ -195,10 +195,9 @@ impl Simulated {
             }
             clock = self.shared.sleep(clock, left);
         }
-        if !clock.joined {
-            clock.now = clock.now.max(granted);
-            self.emulator().run(clock.now as f64 * 1e-9);
-        }
+        // A master that waits for later sees nothing of this, and whoever looks at the horns sees them move.
+        clock.now = clock.now.max(granted);
+        self.emulator().run(clock.now as f64 * 1e-9);
         true
     }
 
