@@ -340,10 +340,8 @@ class Controller(Watched):
 
     def _wait_for_release(self) -> None:
         """Wait while an emergency stop of the bench is pressed: a heartbeat needs a moment to be heard."""
-        free = self.rig.time.wait_for(
-            self._heard, lambda: not self._last.get("emergency") or "gone" in self._last, STARTS
-        )
-        if not free:
+        heard, last = self._heard, self._last
+        if not self.rig.time.wait_for(heard, lambda: not last.get("emergency") or "gone" in last, STARTS):
             raise ServoError(
                 f"the emergency stop is pressed or dead ({self.rig.emergency}); release it, start `softmap servo "
                 "heartbeat` on its computer, or mend [emergency] of rig.toml"

@@ -17,72 +17,12 @@ use std::time::{Duration, Instant};
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 
 use super::Emulator;
+use super::pace::{Clock, NAP, Pace};
 use crate::lockstep::{ANSWERED, ASKED, BUSY, BYE, HEAR, HELLO, RECEIVE, WAIT, passing};
 use crate::packet::LONGEST;
 
-/// For so long a thread sleeps at most: whether a side is gone is looked for that often.
-const NAP: Duration = Duration::from_millis(50);
-/// Lateness that is made up for; what is beyond is left out.
-const LATE: Duration = Duration::from_millis(20);
-
 /// Bytes of a folder in which sockets may be: a path of theirs has 100.
 const LONGEST_FOLDER: usize = 60;
-
-/// How simulated time goes on.
-enum Pace {
-    /// With real time: `at` ns were at `since`.
-    Paced { since: Instant, at: u64 },
-    /// Up to so many ns.
-    Stepped(u64),
-}
-
-struct Clock {
-    /// ns that have passed, and that are added where they are reported.
-    now: u64,
-    base: u64,
-    pace: Pace,
-    /// Until when whoever drives is there, if it matters; since when it is not.
-    there: Option<Instant>,
-    stands: Option<Instant>,
-    /// How long the computer was too busy.
-    lost: Duration,
-    /// A master has the port; it has begun its periods; it waits for this time.
-    joined: bool,
-    begun: bool,
-    asked: Option<u64>,
-}
-
-impl Clock {
-    /// How long to wait before time may go on to `until`; none where it may now.
-    fn left(&mut self, until: u64, now: Instant) -> Option<Duration> {
-        let (since, at) = match &mut self.pace {
-            Pace::Stepped(granted) => return (until > *granted).then_some(NAP),
-            Pace::Paced { since, at } => (since, at),
-        };
-        if !self.begun {
-            (self.begun, *since, *at) = (true, now, until);
-        }
-        if let Some(there) = self.there
-            && now > there
-        {
-            self.stands.get_or_insert(there);
-            return Some(NAP);
-        }
-        if let Some(stood) = self.stands.take() {
-            self.lost += now - stood;
-            *since += now - stood;
-        }
-        let due = *since + Duration::from_nanos(until.saturating_sub(*at));
-        if now < due {
-            return Some(due - now);
-        }
-        if now - due > LATE {
-            self.lost += now - due;
-            *since += now - due;
-        }
-        None
-    }
-}
 
 struct Shared {
     emulator: Mutex<Emulator>,
@@ -125,23 +65,9 @@ impl Simulated {
         let socket = folder.join("servos");
         let listener = UnixListener::bind(&socket)?;
         listener.set_nonblocking(true)?;
-        let clock = Clock {
-            now: 0,
-            base,
-            pace: Pace::Paced {
-                since: Instant::now(),
-                at: 0,
-            },
-            there: None,
-            stands: None,
-            lost: Duration::ZERO,
-            joined: false,
-            begun: false,
-            asked: None,
-        };
         let shared = Arc::new(Shared {
             emulator: Mutex::new(emulator),
-            clock: Mutex::new(clock),
+            clock: Mutex::new(Clock::new(base)),
             turned: Condvar::new(),
             stop: AtomicBool::new(false),
         });
