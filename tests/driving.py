@@ -148,4 +148,4 @@ class Session:
         assert why in self.moment.clutch.why
         self.until(lambda: self.robot.state == "ready" and not torque(self.bus))
         assert self.moment.clutch.stage == "lost"
-        assert any(why in line and "press it anew" in line for line in self.lines)
+        assert any(why in line and "press it again" in line for line in self.lines)

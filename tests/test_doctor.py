@@ -211,6 +211,18 @@ def test_no_ports_and_no_cameras(tmp_path):
     assert [line.state for line in host.cameras(None, tmp_path)] == [OK]
 
 
+def test_cameras_are_listed_with_the_names_that_stay(tmp_path):
+    for number in (0, 2, 10):
+        (tmp_path / f"video{number}").touch()
+    links = tmp_path / "v4l/by-id"
+    links.mkdir(parents=True)
+    (links / "usb-Brio-video-index0").symlink_to("../../video10")
+    bare, _, named = host.cameras(None, tmp_path)
+    assert (bare.name, bare.found) == (f"{tmp_path}/video0", "may be opened")
+    assert named.name == f"{tmp_path}/video10"
+    assert named.found == f"may be opened; its lasting name is {links}/usb-Brio-video-index0"
+
+
 def rights(folder):
     """Return what is said of ports, cameras and real-time rights to whoever has no more than he needs."""
     resource.setrlimit(resource.RLIMIT_RTPRIO, (0, 0))

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from softmap_edge.errors import TeleopError
-from softmap_edge.teleop import frames
+from softmap_edge.teleop import devices, frames
 from softmap_edge.teleop.frames import CameraFrames, FileFrames, UdpAddress, source
 
 RATE, COUNT = 30, 30
@@ -55,7 +55,7 @@ class Device:
 
 def test_what_a_camera_is():
     assert source("0") == 0 and source("12") == 12
-    assert source("clip.mp4") == Path("clip.mp4") and source("/dev/video0") == Path("/dev/video0")
+    assert source("clip.mp4") == Path("clip.mp4") and source("/tmp/absent/video0") == Path("/tmp/absent/video0")
     assert source("udp://:5005") == UdpAddress("", 5005)
     assert source("udp://192.168.0.7:5005") == UdpAddress("192.168.0.7", 5005)
     assert source("udp://[::1]:5005/") == UdpAddress("::1", 5005)
@@ -144,11 +144,11 @@ def test_a_camera_that_freezes_is_told_in_time():
 
 
 def test_cameras_that_cannot_be_opened(monkeypatch, tmp_path):
-    monkeypatch.setattr(frames, "DEVICES", tmp_path)
-    with pytest.raises(TeleopError, match=r"there is no .*video7; connect one, or give a video file"):
+    monkeypatch.setattr(devices, "DEVICES", tmp_path)
+    with pytest.raises(TeleopError, match=r"there is no .*video7; no camera is connected; give another camera"):
         CameraFrames(7)
     (tmp_path / "video2").write_text("")
-    with pytest.raises(TeleopError, match="there are .*video2"):
+    with pytest.raises(TeleopError, match=r"the cameras here are 2 \(.*video2\)"):
         CameraFrames(7)
     (tmp_path / "video97").write_text("")
     with pytest.raises(TeleopError, match="camera 97: .* cannot be opened; close who else uses it"):
@@ -162,3 +162,75 @@ def test_without_opencv_the_install_line_is_said(monkeypatch):
     monkeypatch.setitem(frames.importlib.sys.modules, "cv2", None)
     with pytest.raises(TeleopError, match="OpenCV cannot be loaded .*; run uv pip install --override"):
         FileFrames("clip.mp4")
+
+
+USB = "usb-Logitech_BRIO_1F2A-video-index0"
+
+
+@pytest.fixture
+def dev(monkeypatch, tmp_path):
+    """Give a folder of devices with three cameras: one with lasting names, one with a name by its plug, one bare."""
+    folder = tmp_path / "dev"
+    for name in ("video0", "video3", "video12", "ttyUSB0", "video-notes.txt"):
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_bytes(b"")
+    for link, to in ((f"by-id/{USB}", 3), ("by-path/pci-0000:00:14.0-usb-0:2:1.0-video-index0", 3),
+                     ("by-path/pci-0000:00:14.0-usb-0:5:1.0-video-index0", 12),
+                     ("by-id/usb-Gone_Cam-video-index0", 9)):  # fmt: skip
+        place = folder / "v4l" / link
+        place.parent.mkdir(parents=True, exist_ok=True)
+        place.symlink_to(f"../../video{to}")
+    monkeypatch.setattr(devices, "DEVICES", folder)
+    return folder
+
+
+def test_a_path_of_a_device_is_the_camera_that_it_links_to(dev, tmp_path, monkeypatch):
+    assert source(str(dev / "video0")) == 0 and source(str(dev / "video12")) == 12
+    assert source(str(dev / "v4l/by-id" / USB)) == 3
+    assert source(str(dev / "v4l/by-path/pci-0000:00:14.0-usb-0:5:1.0-video-index0")) == 12
+    (dev / "left_camera").symlink_to("video3")  # as a rule of udev makes it
+    (tmp_path / "cam").symlink_to(dev / "left_camera")  # and a user's own, elsewhere
+    assert source(str(dev / "left_camera")) == 3 and source(str(tmp_path / "cam")) == 3
+    monkeypatch.chdir(dev)
+    assert source("video12") == 12 and source("../dev/v4l/../video0") == 0 and source("v4l/by-id/" + USB) == 3
+
+
+def test_a_regular_file_is_a_video_wherever_it_lies(dev, tmp_path):
+    (dev / "shm").mkdir()
+    for clip in (dev / "shm/clip.mp4", tmp_path / "video0", tmp_path / "video7.mp4"):
+        clip.write_bytes(b"")
+        assert source(str(clip)) == clip
+    (tmp_path / "link.mp4").symlink_to(tmp_path / "video0")
+    assert source(str(tmp_path / "link.mp4")) == tmp_path / "link.mp4"
+    assert source(str(tmp_path / "absent.mp4")) == tmp_path / "absent.mp4"
+
+
+def test_a_device_that_is_no_camera_or_gone_lists_those_there(dev, tmp_path):
+    there = f"the cameras here are 0 ({dev}/video0), 3 ({dev}/v4l/by-id/{USB}), 12 ({dev}/v4l/by-path/"
+    for path, what in (
+        (dev / "video5", "is not there"),
+        (dev / "v4l/by-id/usb-Other-video-index0", "is not there"),
+        (dev / "v4l/by-id/usb-Gone_Cam-video-index0", "links to camera 9, now gone"),
+        (dev / "v4l", "is no camera"),
+        (dev / "video123456", "is not there"),
+        ("/dev/null", "is no camera"),
+    ):
+        with pytest.raises(TeleopError) as fault:
+            source(str(path))
+        assert what in str(fault.value) and there in str(fault.value), path
+    (dev / "round").symlink_to("round")
+    for path in (dev / "round", dev / ("x" * 300)):
+        with pytest.raises(TeleopError, match="the cameras here are"):
+            source(str(path))
+    with pytest.raises(TeleopError, match="no such video file; give one, or a camera; the cameras here are 0"):
+        FileFrames(tmp_path / "absent.mp4")
+
+
+def test_cameras_are_listed_once_each_in_order(dev):
+    found = devices.cameras(dev)
+    assert [camera.number for camera in found] == [0, 3, 12]
+    assert [len(camera.names) for camera in found] == [0, 2, 1]
+    assert devices.there(dev / "none") == "no camera is connected"
+    for k in range(20, 40):
+        (dev / f"video{k}").touch()
+    assert devices.there(dev).endswith("and 15 more")

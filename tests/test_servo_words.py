@@ -83,6 +83,6 @@ def test_why_driving_ended_is_said_once_and_with_what_leads_on():
     hot = {"state": "fault", "cause": "hot", "servo": 0}
     assert words.lost(hot, words.sentence(hot)) == "let go of the key, then reset the fault"
     held = {"state": "hold", "cause": "deadman"}
-    assert words.lost(held, "no hand") == "driving ended: no hand; let go of the key and press it anew"
+    assert words.lost(held, "no hand") == "driving ended: no hand; release the key and press it again"
     unproved = {"state": "connected", "cause": "tripped"}
     assert "prove home anew" in words.lost(unproved, words.sentence(tripped))

@@ -37,7 +37,7 @@ PATIENT = 20.0
         (["--sim", "--page", "70000"], "port 70000"),
         (["--sim", "--page", "none"], "nothing can drive"),
         (["--sim", "--camera", "udp://:9000"], "needs --key FILE"),
-        (["--sim", "--camera", "http://x"], "give the number of a camera"),
+        (["--sim", "--camera", "http://x"], "give the number or path of a camera"),
         (["--sim", "--camera", "none.mp4", "--model", "none.task"], "no model of hands; get the wheel"),
         (["--sim", "--flip", "z"], "there are x and y"),
         (["--sim", "--seconds", "0"], "--seconds 0"),

@@ -20,12 +20,13 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use softmap_servo::bus::{Bus, Fault, PortFault, SLACK};
+use softmap_servo::bus::{Bus, Fault, Port, PortFault, SLACK};
 use softmap_servo::control::{Control, Plan, Record};
 use softmap_servo::drive::{Drive, Member};
 use softmap_servo::guard::{Guard, Limits, Request};
+use softmap_servo::opened::Opened;
 use softmap_servo::registers::FAST_FIRMWARE;
-use softmap_servo::serial::{Serial, monotonic};
+use softmap_servo::serial::monotonic;
 
 use crate::error::{Result, invalid};
 use emergency::Emergency;
@@ -68,26 +69,33 @@ pub fn serve(setup: Setup, plan: impl Plan, orders: OwnedFd, reports: OwnedFd) -
         signal_hook::flag::register(signal, stop.clone())
             .map_err(|fault| invalid(format!("signal {signal} cannot be handled: {fault}")))?;
     }
-    let serial =
-        Serial::open(&setup.port, setup.baud).map_err(|fault| invalid(fault.to_string()))?;
-    let mut bus = Bus::new(serial, setup.baud, SLACK);
+    let port = Opened::open(&setup.port, setup.baud).map_err(|fault| invalid(fault.to_string()))?;
+    let simulated = port.simulated();
+    let mut bus = Bus::new(port, setup.baud, SLACK);
     let fast = found_as_said(&mut bus, &setup.members)?;
+    let begun = bus.port().now();
     let drive = Drive::new(bus, &setup.members, fast, WATCHDOG);
     let mailbox = PipeMailbox::new(orders, plan.channels(), setup.stops);
     let (sender, receiver) = rtrb::RingBuffer::new(RING);
-    let warnings = realtime::warnings();
-    let sizes = (servos, plan.channels());
-    let begin = |(path, setup): (PathBuf, String)| {
-        Recording::begin(&path, &setup, monotonic(), sizes.0, sizes.1)
+    let warnings = if simulated {
+        vec![]
+    } else {
+        realtime::warnings()
     };
+    let sizes = (servos, plan.channels());
+    let begin =
+        |(path, setup): (PathBuf, String)| Recording::begin(&path, &setup, begun, sizes.0, sizes.1);
     let recording = setup.record.map(begin).transpose()?;
     let ids = setup.members.iter().map(|member| member.id).collect();
     let reporter = Reporter::start(receiver, reports, recording, ids, sizes.1, &warnings);
     let guard = Guard::new(setup.limits);
-    let record = Ring::new(sender);
+    // Simulated time stands while a period is reported, so that what is known of it does not depend on load.
+    let record = Ring::new(sender, simulated.then(|| reporter.progress()).flatten());
     let control = Control::new(drive, guard, plan, mailbox, record);
     let mut control = Farewell(control, false);
-    realtime::enter();
+    if !simulated {
+        realtime::enter();
+    }
     let ended = run(&mut control.0, &stop);
     control.say();
     let last = Last {
@@ -114,7 +122,7 @@ pub enum Ended {
 }
 
 fn run<L: Plan, R: Record>(
-    control: &mut Control<Serial, L, PipeMailbox, R>,
+    control: &mut Control<Opened, L, PipeMailbox, R>,
     stop: &AtomicBool,
 ) -> Ended {
     loop {
@@ -153,7 +161,7 @@ fn patiently<T>(
 }
 
 /// Refuse servos that are not what they are said to be, or whose torque is on; whether all can answer in one packet.
-fn found_as_said(bus: &mut Bus<Serial>, members: &[Member]) -> Result<bool> {
+fn found_as_said(bus: &mut Bus<Opened>, members: &[Member]) -> Result<bool> {
     let mut fast = true;
     for Member { id, model } in members {
         let told = patiently(|| bus.ping(*id));
@@ -200,7 +208,7 @@ fn found_as_said(bus: &mut Bus<Serial>, members: &[Member]) -> Result<bool> {
 }
 
 /// Torque off is the last that the servos hear; whether it was said.
-struct Farewell<L: Plan, R: Record>(Control<Serial, L, PipeMailbox, R>, bool);
+struct Farewell<L: Plan, R: Record>(Control<Opened, L, PipeMailbox, R>, bool);
 
 impl<L: Plan, R: Record> Farewell<L, R> {
     fn say(&mut self) {

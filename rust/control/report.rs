@@ -5,8 +5,8 @@
 
 use std::os::fd::OwnedFd;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
-use std::thread::JoinHandle;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::thread::{JoinHandle, Thread};
 use std::time::{Duration, Instant};
 
 use mcap::McapError;
@@ -28,15 +28,43 @@ const LOOK: Duration = Duration::from_millis(5);
 /// ns between two reports while nothing changes.
 const OFTEN: u64 = 33_000_000;
 
-/// The loop's end of the ring; what does not fit is counted.
+/// For so long a loop in simulated time waits for a report: a disk may be slow, and a thread that failed reports nothing.
+const PATIENCE: Duration = Duration::from_secs(10);
+
+/// How far the reporting thread is.
+pub struct Progress {
+    thread: Thread,
+    handled: Arc<AtomicU64>,
+}
+
+/// The loop's end of the ring; what does not fit is counted. With `progress` each entry is reported before the next begins.
 pub struct Ring {
     sender: rtrb::Producer<Entry>,
     lost: u64,
+    taken: u64,
+    progress: Option<Progress>,
 }
 
 impl Ring {
-    pub fn new(sender: rtrb::Producer<Entry>) -> Ring {
-        Ring { sender, lost: 0 }
+    pub fn new(sender: rtrb::Producer<Entry>, progress: Option<Progress>) -> Ring {
+        Ring {
+            sender,
+            lost: 0,
+            taken: 0,
+            progress,
+        }
+    }
+
+    /// Wait until what was taken is reported.
+    fn follow(&self) {
+        let Some(Progress { thread, handled }) = &self.progress else {
+            return;
+        };
+        let begun = Instant::now();
+        while handled.load(Ordering::Acquire) < self.taken && begun.elapsed() < PATIENCE {
+            thread.unpark();
+            std::thread::sleep(Duration::from_micros(50));
+        }
     }
 
     /// Entries that the reporting thread was too slow for.
@@ -47,7 +75,11 @@ impl Ring {
 
 impl Record for Ring {
     fn take(&mut self, entry: &Entry) {
-        self.lost += u64::from(self.sender.push(*entry).is_err());
+        match self.sender.push(*entry) {
+            Ok(()) => self.taken += 1,
+            Err(_) => self.lost += 1,
+        }
+        self.follow();
     }
 }
 
@@ -64,6 +96,7 @@ pub struct Last {
 /// The thread that reports.
 pub struct Reporter {
     stop: Arc<AtomicBool>,
+    handled: Arc<AtomicU64>,
     thread: Option<JoinHandle<OwnedFd>>,
 }
 
@@ -82,7 +115,8 @@ impl Reporter {
             let _ = fcntl_setfl(&pipe, flags | OFlags::NONBLOCK);
         }
         let stop = Arc::new(AtomicBool::new(false));
-        let stopped = stop.clone();
+        let handled = Arc::new(AtomicU64::new(0));
+        let (stopped, count) = (stop.clone(), handled.clone());
         let begin = json!({"schema": SCHEMA, "warnings": warnings});
         let thread = std::thread::spawn(move || {
             say(&pipe, &begin);
@@ -109,6 +143,7 @@ impl Reporter {
                         (told, state) = (entry.now, Some(output.state));
                         say(&pipe, &Told::of(&entry, &ids, &hardware));
                     }
+                    count.fetch_add(1, Ordering::Release);
                 }
                 if last {
                     if let Some(Err(fault)) = recording.map(Recording::end) {
@@ -116,13 +151,21 @@ impl Reporter {
                     }
                     return pipe;
                 }
-                std::thread::sleep(LOOK);
+                std::thread::park_timeout(LOOK);
             }
         });
         Reporter {
             stop,
+            handled,
             thread: Some(thread),
         }
+    }
+
+    /// How far it is, for a loop that waits for it.
+    pub fn progress(&self) -> Option<Progress> {
+        let thread = self.thread.as_ref()?.thread().clone();
+        let handled = self.handled.clone();
+        Some(Progress { thread, handled })
     }
 
     /// Say how it ended, and how the loop kept its time.

@@ -4,21 +4,74 @@ use super::servo::trouble;
 use pyo3::prelude::*;
 use softmap_servo::emulator::pty::Terminal;
 use softmap_servo::emulator::servo::{Motion, Servo};
+use softmap_servo::emulator::simulated::Simulated;
 use softmap_servo::emulator::{Emulator, Faults};
 use softmap_servo::packet::HIGHEST_ID;
 use softmap_servo::registers::model;
 use softmap_servo::serial::monotonic;
 use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
 
-/// Servos at a pseudo-terminal with a tendon behind each, and faults on command.
+/// Where servos are served: at a pseudo-terminal in real time, or at a socket in simulated time.
+enum Place {
+    Real(Terminal),
+    Simulated(Simulated),
+}
+
+impl Place {
+    fn path(&self) -> &str {
+        match self {
+            Place::Real(at) => at.path(),
+            Place::Simulated(at) => at.path(),
+        }
+    }
+
+    fn emulator(&self) -> MutexGuard<'_, Emulator> {
+        match self {
+            Place::Real(at) => at.emulator(),
+            Place::Simulated(at) => at.emulator(),
+        }
+    }
+
+    fn unplug(&mut self) {
+        match self {
+            Place::Real(at) => at.unplug(),
+            Place::Simulated(at) => at.unplug(),
+        }
+    }
+
+    fn now(&self) -> u64 {
+        match self {
+            Place::Real(_) => monotonic(),
+            Place::Simulated(at) => at.now(),
+        }
+    }
+}
+
+/// Servos with a tendon behind each, and faults on command: at a pseudo-terminal, or `simulated` at a socket, where time
+/// passes as their master takes steps (`hold`, `advance`).
 #[pyclass(name = "EmulatedBus", module = "softmap_edge._core", frozen)]
 pub struct PyEmulatedBus {
-    terminal: Mutex<Terminal>,
+    terminal: Mutex<Place>,
 }
 
 impl PyEmulatedBus {
-    fn terminal(&self) -> MutexGuard<'_, Terminal> {
+    fn terminal(&self) -> MutexGuard<'_, Place> {
         self.terminal.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Do something with simulated time, without the interpreter.
+    fn clock<T: Send>(
+        &self,
+        py: Python<'_>,
+        act: impl FnOnce(&Simulated) -> T + Send,
+    ) -> PyResult<T> {
+        py.detach(|| match &*self.terminal() {
+            Place::Simulated(at) => Ok(act(at)),
+            Place::Real(_) => Err(trouble(
+                "these servos live in real time; give simulated=True",
+            )),
+        })
     }
 
     fn with<T>(&self, servo: usize, act: impl FnOnce(&mut Servo) -> T) -> PyResult<T> {
@@ -35,13 +88,14 @@ impl PyEmulatedBus {
     /// `servos` are (id, model number, baud rate, ticks of the horn); `delay` and `lag` in s; `load` are (ticks, mA) of
     /// each, ascending.
     #[new]
-    #[pyo3(signature = (servos, load, *, delay=0.02, lag=0.04, seed=0))]
+    #[pyo3(signature = (servos, load, *, delay=0.02, lag=0.04, seed=0, simulated=false))]
     fn new(
         servos: Vec<(u8, u16, u32, f64)>,
         load: Vec<Vec<(f64, f64)>>,
         delay: f64,
         lag: f64,
         seed: u64,
+        simulated: bool,
     ) -> PyResult<PyEmulatedBus> {
         let times = [delay, lag].iter().all(|time| (0.0..=1.0).contains(time));
         if servos.is_empty() || servos.len() != load.len() || !times {
@@ -76,9 +130,14 @@ impl PyEmulatedBus {
                 Motion { delay, lag, load },
             ));
         }
-        let terminal = Terminal::open(Emulator::new(made, 57_600, seed)).map_err(trouble)?;
+        let emulator = Emulator::new(made, 57_600, seed);
+        let place = if simulated {
+            Place::Simulated(Simulated::open(emulator, monotonic()).map_err(unserved)?)
+        } else {
+            Place::Real(Terminal::open(emulator).map_err(trouble)?)
+        };
         Ok(PyEmulatedBus {
-            terminal: Mutex::new(terminal),
+            terminal: Mutex::new(place),
         })
     }
 
@@ -211,6 +270,7 @@ impl PyEmulatedBus {
     /// whether its watchdog tripped, and how its horn pulls: 1 as it should, -1 the wrong way, 0 for a torn tendon.
     fn state(&self) -> (f64, Vec<(f64, bool, bool, f64)>) {
         let terminal = self.terminal();
+        let now = terminal.now();
         let emulator = terminal.emulator();
         let one = |servo: &Servo| {
             (
@@ -220,9 +280,45 @@ impl PyEmulatedBus {
                 servo.broken.pull(),
             )
         };
-        (
-            monotonic() as f64 * 1e-9,
-            emulator.servos.iter().map(one).collect(),
-        )
+        (now as f64 * 1e-9, emulator.servos.iter().map(one).collect())
     }
+    /// The time (ns) of simulated servos.
+    fn now(&self, py: Python<'_>) -> PyResult<u64> {
+        self.clock(py, Simulated::now)
+    }
+
+    /// Let simulated time stand at `at` ns, counted from 0, until `advance` grants more.
+    fn hold(&self, py: Python<'_>, at: u64) -> PyResult<()> {
+        self.clock(py, |time| time.hold(at))
+    }
+
+    /// Grant simulated time up to `until` ns and wait, `most` s at most, until the loop has used it up; whether it has.
+    fn advance(&self, py: Python<'_>, until: u64, most: f64) -> PyResult<bool> {
+        self.clock(py, |time| time.advance(until, seconds(most)))
+    }
+
+    /// Let stepped time go on as it likes, or stand where it is; the time (ns).
+    fn free(&self, py: Python<'_>, free: bool) -> PyResult<u64> {
+        self.clock(py, |time| time.free(free))
+    }
+
+    /// Paced time goes on for `window` s more, without one whatever happens; s for which the computer was too busy so far.
+    fn there(&self, py: Python<'_>, window: Option<f64>) -> PyResult<f64> {
+        self.clock(py, |time| time.there(window.map(seconds)).as_secs_f64())
+    }
+
+    /// Whether a loop waits for simulated time to go on.
+    fn waiting(&self, py: Python<'_>) -> PyResult<bool> {
+        self.clock(py, Simulated::waiting)
+    }
+}
+
+fn seconds(time: f64) -> Duration {
+    Duration::from_secs_f64(time.clamp(0.0, 1e6))
+}
+
+fn unserved(fault: std::io::Error) -> PyErr {
+    trouble(format!(
+        "no socket for simulated servos ({fault}); see that the folder for temporary files can be written (TMPDIR)"
+    ))
 }

@@ -5,9 +5,10 @@ use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyDict};
 use softmap_servo::bus::{Bus, Fault, SLACK};
 use softmap_servo::decoder::Decoder;
+use softmap_servo::opened::Opened;
 use softmap_servo::packet::{LONGEST, packet};
 use softmap_servo::registers::{FULL_PWM, MODELS};
-use softmap_servo::serial::{OpenFault, Serial};
+use softmap_servo::serial::OpenFault;
 use std::sync::{Mutex, PoisonError};
 
 import_exception!(softmap_edge.errors, NoAnswer);
@@ -100,7 +101,7 @@ pub fn servo_registers<'py>(py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
 /// A bus of servos at a serial port, for setting up; nobody else can open the port meanwhile.
 #[pyclass(name = "ServoBus", module = "softmap_edge._core", frozen)]
 pub struct PyServoBus {
-    bus: Mutex<Option<Bus<Serial>>>,
+    bus: Mutex<Option<Bus<Opened>>>,
     /// The device, and its rate.
     #[pyo3(get)]
     port: String,
@@ -112,7 +113,7 @@ impl PyServoBus {
     fn ask<T: Send>(
         &self,
         py: Python<'_>,
-        what: impl FnOnce(&mut Bus<Serial>) -> Result<T, Fault> + Send,
+        what: impl FnOnce(&mut Bus<Opened>) -> Result<T, Fault> + Send,
     ) -> PyResult<T> {
         let done = py.detach(|| {
             let mut bus = self.bus.lock().unwrap_or_else(PoisonError::into_inner);
@@ -138,11 +139,11 @@ impl PyServoBus {
                 "slack is {slack} s; allowed is 0.0005 to 1 s"
             )));
         }
-        let serial = Serial::open(port, baud).map_err(|fault| match fault {
+        let opened = Opened::open(port, baud).map_err(|fault| match fault {
             OpenFault::Baud(..) => NoSuchRate::new_err(fault.to_string()),
             other => trouble(other),
         })?;
-        let bus = Bus::new(serial, baud, ((slack * 1e9) as u64).max(SLACK / 4));
+        let bus = Bus::new(opened, baud, ((slack * 1e9) as u64).max(SLACK / 4));
         Ok(PyServoBus {
             bus: Mutex::new(Some(bus)),
             port: port.to_owned(),

@@ -15,6 +15,8 @@ pub mod decoder;
 pub mod drive;
 pub mod emulator;
 pub mod guard;
+pub mod lockstep;
+pub mod opened;
 pub mod packet;
 pub mod registers;
 pub mod serial;

@@ -109,7 +109,7 @@ def _bench(args: argparse.Namespace) -> Iterator[Rig]:
         return
     load_own(args)
     model = open_model(args.bundle)
-    with emulated(model) as robot:
+    with emulated(model, person=True) as robot:
         yield robot.rig
 
 
@@ -125,6 +125,7 @@ def _by_keys(jog: Jog, hand: Any) -> None:
     chosen, count, presses, step = 0, len(jog.rig.servos), 0, 0.0
     ended: Literal["", "window", "travel"] = ""
     while not hand.stopped:
+        jog.robot.time.there()
         key = hand.key()
         if key.isdigit() and 0 < int(key) <= count:
             chosen = int(key) - 1
@@ -140,6 +141,7 @@ def _by_keys(jog: Jog, hand: Any) -> None:
         end = ENDS[ended] if jog.robot.state == "commissioning" else ""
         print(f"\r{at}  ({words.state(jog.robot.report)}{end})\x1b[K", end="", file=raw(sys.stderr), flush=True)
         time.sleep(EVERY)
+    jog.robot.time.there(driving=False)
     print(file=sys.stderr)
     jog.obey(hand)
 
@@ -164,13 +166,13 @@ def _go(args: argparse.Namespace) -> int:
         robot = Controller(there.rig, there.calibration, there.limits)
         with driving(robot):
             done, sent, arrived = robot.engage(u), None, None
-            while arrived is None or time.monotonic() - arrived < args.seconds:
-                done, now = robot.target(u), time.monotonic()
+            while arrived is None or robot.time.now() - arrived < args.seconds:
+                done, now = robot.target(u), robot.time.now()
                 off = _off(robot, done, "goal")
                 sent = now if sent is None and off < ARRIVED else sent
                 if arrived is None and sent is not None and (_off(robot, done, "position") < NEAR or now - sent > LAGS):
                     arrived = now
-                time.sleep(EVERY)
+                robot.time.sleep(EVERY)
             at = there.calibration.commands(robot.position)
             short = _short(robot, done)
     document = {"schema": "softmap.move/1", "command_mm": u.tolist(), "done_mm": done.tolist(), "at_mm": at.tolist()}

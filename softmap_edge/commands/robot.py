@@ -6,6 +6,7 @@ import argparse
 import contextlib
 from collections.abc import Iterator
 from dataclasses import replace
+from typing import Literal
 
 import numpy as np
 
@@ -66,22 +67,29 @@ def driven_model(args: argparse.Namespace, model: Model) -> Model:
 
 
 @contextlib.contextmanager
-def emulated(model: Model, hidden: str = "", seed: int = 0) -> Iterator[Bench]:
-    """Give an emulated robot with the finger of `model`, which hides laws by their names."""
+def emulated(model: Model, hidden: str = "", seed: int = 0, *, person: bool = False) -> Iterator[Bench]:
+    """Give an emulated robot with the finger of `model`, which hides laws by their names.
+
+    Where a `person` drives, its time keeps to real time; else it goes by steps, the same under any load.
+    """
     calibration = model.calibration or plain_map(model)
     laws = hidden_laws([name for name in hidden.split(",") if name], model.channels, seed)
-    with emulated_bench(model, calibration, laws, rate=RATE, seed=seed) as (_, rig, limits, finger):
+    pace: Literal["paced", "stepped"] = "paced" if person else "stepped"
+    with emulated_bench(model, calibration, laws, rate=RATE, seed=seed, time=pace) as (_, rig, limits, finger):
         yield Bench(rig, limits, calibration, model, finger)
 
 
 @contextlib.contextmanager
-def bench_of(args: argparse.Namespace, model: Model) -> Iterator[Bench]:
-    """Give the bench of `--rig`, or an emulated one with what `--hide` and `--seed` say, where the verb has them."""
+def bench_of(args: argparse.Namespace, model: Model, *, person: bool = False) -> Iterator[Bench]:
+    """Give the bench of `--rig`, or an emulated one with what `--hide` and `--seed` say, where the verb has them.
+
+    `person`: one drives it.
+    """
     if args.rig:
         tell_edited(model)
         yield read_bench(args.rig, model)
         return
-    with emulated(model, getattr(args, "hide", ""), getattr(args, "seed", None) or 0) as bench:
+    with emulated(model, getattr(args, "hide", ""), getattr(args, "seed", None) or 0, person=person) as bench:
         yield bench
 
 

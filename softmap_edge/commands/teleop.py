@@ -13,9 +13,11 @@ from softmap_edge.commands.own import load_own, open_model
 from softmap_edge.commands.robot import bench_of, check_driven, driven_arguments, driven_model
 from softmap_edge.errors import RecordingBroken, TeleopError
 from softmap_edge.motion.kinematics import Kinematics
+from softmap_edge.servo.clock import BUSY
 from softmap_edge.servo.controller import Controller
 from softmap_edge.signed_udp import dropped_words, new_key, read_key
 from softmap_edge.teleop.aim import Aim, Direct, Tip
+from softmap_edge.teleop.busy import LONG
 from softmap_edge.teleop.drive import Drive
 from softmap_edge.teleop.eyes import CameraEyes, Eyes, FarEyes, NoEyes, camera_eyes
 from softmap_edge.teleop.far import send
@@ -44,7 +46,7 @@ def teleop_arguments(parser: argparse.ArgumentParser) -> None:
     what.add_argument("--fetch-model", metavar="FROM", help="make the model of hands of mediapipe's wheel, or a copy")
     what.add_argument("--new-key", metavar="FILE", help="make a key that both computers share")
     cameras = "a camera, a video, landmarks of another computer, or none: keys and mouse (none)"
-    parser.add_argument("--camera", default="none", metavar="N|FILE|udp://:PORT|none", help=cameras)
+    parser.add_argument("--camera", default="none", metavar="N|/dev/…|FILE|udp://:PORT|none", help=cameras)
     parser.add_argument("--model", metavar="FILE.task", help="the model of hands (where --fetch-model puts it)")
     parser.add_argument("--key", metavar="FILE", help="the key of --send or --camera udp://")
     parser.add_argument("--page", default=str(PORT), metavar="PORT|none", help=f"of the page; 0: any free ({PORT})")
@@ -97,7 +99,7 @@ def _drive(args: argparse.Namespace) -> int:
             to_stderr(HELP)
         if not inputs and args.seconds is None and not by_hand:
             raise TeleopError("nothing can drive: no page, no terminal, no camera; leave --page none away")
-        bench = stack.enter_context(bench_of(args, whole))
+        bench = stack.enter_context(bench_of(args, whole, person=True))
         model = driven_model(args, bench.model)
         kinematics = Kinematics(model, axes="xy" if args.tip else "xyz")
         aim: Aim = Tip(kinematics) if args.tip else Direct(kinematics)
@@ -153,7 +155,7 @@ def _send(args: argparse.Namespace) -> int:
         raise TeleopError(f"--send {args.send}: give udp://HOST:PORT")
     what = source(args.camera) if args.camera != "none" else None
     if what is None or isinstance(what, UdpAddress):
-        raise TeleopError(f"--send: --camera {args.camera} gives no pictures; give the number of a camera, or a video")
+        raise TeleopError(f"--send: --camera {args.camera} gives no pictures; give a camera, or a video")
     key = _key(args, "--send")
     with contextlib.ExitStack() as stack:
         eyes: CameraEyes = stack.enter_context(camera_eyes(what, args.model, View(args.hand, args.mirrored)))
@@ -209,6 +211,8 @@ def _text(told: dict[str, Any]) -> str:
         ))  # fmt: skip
     if told["refused"]:
         lines.append(dropped_words(told["refused"]))
+    if told["busy_s"] > LONG:
+        lines.append(f"{BUSY}: the simulated robot stood still for {told['busy_s']:.1f} s in all")
     lines += [f"driving ended {count} times: {why}" for why, count in told["lost"].items()]
     lines.append("states: " + ", ".join(f"{state} {seconds:.1f} s" for state, seconds in told["states_s"].items()))
     if told["record"]:

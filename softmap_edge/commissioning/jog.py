@@ -10,7 +10,6 @@ as it binds a drive, its ticks where home is proved. Pinned by tests/test_move.p
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from types import TracebackType
 from typing import Literal, Protocol, Self
@@ -102,6 +101,7 @@ class Jog:
     def __exit__(
         self, kind: type[BaseException] | None, fault: BaseException | None, trace: TracebackType | None
     ) -> None:
+        self.robot.time.there(driving=False)
         self.robot.__exit__(kind, fault, trace)
 
     @property
@@ -162,9 +162,9 @@ class Jog:
         self._target = self._began = None
         if self.robot.state == "commissioning":
             self.robot.request("stop")
-            until = time.monotonic() + WAITS
-            while self.robot.state == "commissioning" and time.monotonic() < until:
-                time.sleep(EVERY)
+            until = self.robot.time.now() + WAITS
+            while self.robot.state == "commissioning" and self.robot.time.now() < until:
+                self.robot.time.sleep(EVERY)
 
     def obey(self, hand: Deadman) -> None:
         """Press the robot's emergency stop if `hand` did so.
@@ -186,9 +186,10 @@ class Jog:
             ServoError: a fault or the emergency stop ended it, or it did not arrive in time.
         """
         begin, left, settled = float(self.position[servo]), abs(ticks) / self.slew + WAITS, 0.0
-        last = time.monotonic()
+        last = self.robot.time.now()
         while not hand.stopped and settled < SETTLES:
-            now = time.monotonic()
+            self.robot.time.there()
+            now = self.robot.time.now()
             spent, last = now - last, now
             if hand.held():
                 left -= spent
@@ -203,7 +204,8 @@ class Jog:
                         f"servo {self.rig.servos[servo].id} was sent {ticks:+.0f} ticks and came "
                         f"{self.position[servo] - begin:+.0f} in time; look what holds it"
                     )
-            time.sleep(EVERY)
+            self.robot.time.sleep(EVERY)
+        self.robot.time.there(driving=False)
         self.obey(hand)
         return float(self.position[servo] - begin)
 

@@ -163,15 +163,18 @@ def teleoperation() -> Iterator[Line]:
 
 
 def cameras(number: str | None = None, dev: Path = DEV) -> Iterator[Line]:
-    """The cameras, and whether this user may open them; only the one that is given is opened."""
-    found = sorted(dev.glob("video*"))
+    """The cameras with their lasting names, and whether this user may open them; only the one given is opened."""
+    from softmap_edge.teleop.devices import cameras as listed
+
+    found = listed(dev)
     if not found:
         state, do = (WARNING, "connect one; keyboard and mouse drive without")
         yield Line("camera", FAULT if number is not None else state, "none", do)
         return
-    for file in found:
+    for file, names in ((one.file, one.names) for one in found):
         if os.access(file, os.R_OK | os.W_OK):
-            yield Line(str(file), OK, "may be opened")
+            lasting = f"; its lasting name is {names[0]}" if names else ""
+            yield Line(str(file), OK, f"may be opened{lasting}")
         else:
             owner = _group(file.stat().st_gid)
             do = f"run sudo usermod -aG {owner} {_user()}, then log in again"
@@ -189,7 +192,7 @@ def _picture(number: str) -> Line:
     try:
         place = source(number)
         if not isinstance(place, int):
-            return Line(name, FAULT, "no number of a camera", "give --camera N")
+            return Line(name, FAULT, "no camera", "give --camera N, or its path under /dev")
         with CameraFrames(place) as camera:
             frame = camera.newest()
         height, width = frame.picture.shape[:2]

@@ -13,7 +13,7 @@ from collections import deque
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from types import TracebackType
-from typing import Any, Self
+from typing import Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +25,7 @@ from softmap_edge.emulated.tendon_load import tendon_loads
 from softmap_edge.errors import ServoError
 from softmap_edge.model import Model
 from softmap_edge.servo.bus import opened
+from softmap_edge.servo.clock import REAL_TIME, Clock, PacedTime, SteppedTime
 from softmap_edge.servo.known_state import SET_UP
 from softmap_edge.servo.limits import loop_limits, servo_limits
 from softmap_edge.servo.models import servo_model
@@ -72,7 +73,8 @@ class EmulatedFinger:
 
     Args:
         bus: emulated servos, in the order of the commands. model: whose prior gives the shape. calibration: the true
-            map of ticks. laws: what hides between horn and body (`hidden_laws`). seed: of noise and clock.
+            map of ticks. laws: what hides between horn and body (`hidden_laws`). seed: of noise and clock. clock: the
+            time of the servos.
     """
 
     def __init__(
@@ -83,6 +85,7 @@ class EmulatedFinger:
         laws: Sequence[Law] = (),
         *,
         seed: int = 0,
+        clock: Clock = REAL_TIME,
     ) -> None:
         channels = len(calibration.b)
         if model.channels != channels or len(bus.state()[1]) != channels:
@@ -93,24 +96,29 @@ class EmulatedFinger:
         self._bus, self._model, self._map = bus, model, calibration
         self._step = streamed(laws)
         self._rng = np.random.default_rng(seed)
-        self._zero = time.monotonic() - float(self._rng.uniform(5.0, 500.0))  # where the camera's clock began
+        self._clock = clock
+        self._zero = clock.now() - float(self._rng.uniform(5.0, 500.0))  # where the camera's clock began
         self._drift = DRIFT * float(self._rng.uniform(-1.0, 1.0))
         self._blind = False
         self._frames: deque[Frame] = deque(maxlen=KEPT)
         self._acting: deque[tuple[float, Floats]] = deque(maxlen=int(KEPT * RATE / FRAMES))
-        self._taken = -np.inf
+        self._taken = self._last = -np.inf
         self._done = threading.Event()
         self._thread = threading.Thread(target=self._live, daemon=True)
 
     def __enter__(self) -> Self:
-        self._thread.start()
+        if isinstance(self._clock, SteppedTime):
+            self._clock.each_look(self._look)
+        else:
+            self._thread.start()
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, fault: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._done.set()
-        self._thread.join(2.0)
+        if self._thread.is_alive():
+            self._thread.join(2.0)
 
     def blind(self, dark: bool) -> None:
         """Let the camera see nothing, or again."""
@@ -118,7 +126,7 @@ class EmulatedFinger:
 
     def seen(self) -> list[Frame]:
         """Return the frames that have arrived, oldest first, at most the last `KEPT`."""
-        now, frames = time.monotonic(), list(self._frames)
+        now, frames = self._clock.now(), list(self._frames)
         return frames[:-LATEST] + [frame for frame in frames[-LATEST:] if frame.arrived <= now]
 
     def acting(self) -> tuple[Floats, Floats]:
@@ -127,19 +135,23 @@ class EmulatedFinger:
         return np.array([t for t, _ in known]), np.array([u for _, u in known])
 
     def _live(self) -> None:
-        last, due = -np.inf, time.monotonic()
+        due = time.monotonic()
         while not self._done.is_set():
-            now, horns = self._bus.state()
-            angles, pulls = np.array([(angle, pull) for angle, _, _, pull in horns]).T
-            u = self._map.A @ (pulls * (angles - self._map.home)) + self._map.b
-            if now > last:
-                acting = self._step(now, u)
-                self._acting.append((now, acting))
-                if now - self._taken >= 1.0 / FRAMES and not self._blind:
-                    self._take(now, acting)
-                last = now
+            self._look()
             due += 1.0 / RATE
             self._done.wait(max(0.0, due - time.monotonic()))
+
+    def _look(self) -> None:
+        """Let the finger follow its horns, and take a frame where one is due."""
+        now, horns = self._bus.state()
+        angles, pulls = np.array([(angle, pull) for angle, _, _, pull in horns]).T
+        u = self._map.A @ (pulls * (angles - self._map.home)) + self._map.b
+        if now > self._last and not self._done.is_set():
+            acting = self._step(now, u)
+            self._acting.append((now, acting))
+            if now - self._taken >= 1.0 / FRAMES and not self._blind:
+                self._take(now, acting)
+            self._last = now
 
     def _take(self, now: float, acting: Floats) -> None:
         self._taken = now
@@ -160,11 +172,14 @@ def emulated_bench(
     servo: str = SERVO,
     baud: int = BAUD,
     ready: bool = True,
+    time: Literal["real", "paced", "stepped"] = "real",
 ) -> Iterator[tuple[_core.EmulatedBus, Rig, dict[str, Any], EmulatedFinger]]:
     """Give an emulated bus set up to be driven, its rig, its limits, and a finger on it.
 
     Servos answer as late as those of the trunk did (0.19 s, lag 0.05 s: commands against encoders of its recording) and
     draw what the model's tendons ask. Without `ready` they are as they are delivered, and the rig knows no home.
+    `real` time serves them at a pseudo-terminal, which any program can open; else they are simulated for this program,
+    and no load of the computer makes them late (`servo/clock.py`).
 
     Raises:
         ServoError: no such model, or it has no such rate.
@@ -175,16 +190,17 @@ def emulated_bench(
     window = calibration.window or calibration.holding(model.command_range)
     servos = [(id, int(known["number"]), baud, float(home)) for id, home in zip(ids, homes)]
     loads = tendon_loads(model, calibration, window, known)
-    bus = _core.EmulatedBus(servos, loads, delay=ANSWER[0], lag=ANSWER[1], seed=seed)
+    bus = _core.EmulatedBus(servos, loads, delay=ANSWER[0], lag=ANSWER[1], seed=seed, simulated=time != "real")
     kept: dict[str, Any] = {}
     try:
         if ready:
             for id, home in zip(ids, homes):
                 kept[f"servo_{id}"] = _ready(Found(bus.path, baud, id, int(known["number"]), _core.FAST_FIRMWARE), home)
-        entries = tuple(RigServo(id, servo, home if ready else None) for id, home in zip(ids, homes))
-        rig = Rig(bus.path, baud, entries, made={SET_UP: kept} if kept else {})
+        clock = {"real": lambda bus: REAL_TIME, "paced": PacedTime, "stepped": SteppedTime}[time](bus)
+        mounted = tuple(RigServo(id, servo, home if ready else None) for id, home in zip(ids, homes))
+        rig = Rig(bus.path, baud, mounted, made={SET_UP: kept} if kept else {}, time=clock)
         limits = loop_limits([servo_limits(servo, home, window) for home in homes], rate)
-        with EmulatedFinger(bus, model, calibration, laws, seed=seed) as finger:
+        with EmulatedFinger(bus, model, calibration, laws, seed=seed, clock=clock) as finger:
             yield bus, rig, limits, finger
     finally:
         bus.unplug()

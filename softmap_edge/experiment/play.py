@@ -8,7 +8,6 @@ kept. Pinned by tests/test_record_robot.py.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -82,9 +81,9 @@ class Player:
         self._await_camera()
         self._ask(f"it begins so: {pace.stops.get(0) or condition(pace.made, 0)}")
         self._engage(0.0)
-        at, last, row = 0.0, time.monotonic(), -1
+        at, last, row = 0.0, self._robot.time.now(), -1
         while True:
-            now = time.monotonic()
+            now = self._robot.time.now()
             self._send(at, now)
             here = pace.row(at)
             for passed in range(row + 1, here + 1):
@@ -92,7 +91,7 @@ class Player:
                     self._by_hand(pace.stops[passed], at)
                 if pace.rests[passed]:
                     self._settle(at)
-            row, fresh = max(row, here), time.monotonic()
+            row, fresh = max(row, here), self._robot.time.now()
             self._gather(fresh)
             if at >= pace.t[-1]:
                 break
@@ -106,7 +105,7 @@ class Player:
             self.played.clock += [(fresh - step, at), (fresh, upto)]
             at, last = upto, fresh
             self._tell(at / float(pace.t[-1]) if pace.t[-1] else 1.0)
-            time.sleep(max(0.0, 1.0 / SENT - (time.monotonic() - now)))
+            self._robot.time.sleep(max(0.0, 1.0 / SENT - (self._robot.time.now() - now)))
         self._rest(at, WAIT + 0.1)
         self.played.whole = True
         return self.played
@@ -126,18 +125,18 @@ class Player:
 
     def _rest(self, at: float, seconds: float) -> None:
         """Stay where it is for a while."""
-        end = time.monotonic() + seconds
-        while (now := time.monotonic()) < end:
+        end = self._robot.time.now() + seconds
+        while (now := self._robot.time.now()) < end:
             self._send(at, now)
             self._gather(now)
-            time.sleep(1.0 / SENT)
+            self._robot.time.sleep(1.0 / SENT)
 
     def _settle(self, at: float, patience: float = PATIENCE) -> None:
         """Stay until servos and what is seen stand, or for as long as patience lasts."""
-        begun = time.monotonic()
+        begun = self._robot.time.now()
         still_since: float | None = None
         self._history.clear()
-        while (now := time.monotonic()) - begun < patience:
+        while (now := self._robot.time.now()) - begun < patience:
             self._send(at, now)
             if servos_still(self._history, now):
                 still_since = still_since or now
@@ -146,24 +145,24 @@ class Player:
             else:
                 still_since = None
             self._gather(now)
-            time.sleep(1.0 / SENT)
+            self._robot.time.sleep(1.0 / SENT)
         else:
             self.played.unsettled += 1
-        self.played.waited += time.monotonic() - begun
-        self.played.clock += [(begun, at), (time.monotonic(), at)]
+        self.played.waited += self._robot.time.now() - begun
+        self.played.clock += [(begun, at), (self._robot.time.now(), at)]
 
     def _by_hand(self, what: str, at: float) -> None:
         """Let torque go off, have something done, and go on where it was."""
         self._rest(at, WAIT + 0.1)
         self._robot.request("stop")
-        end = time.monotonic() + BACK
+        end = self._robot.time.now() + BACK
         while self._robot.state != "ready":
-            if time.monotonic() > end:
+            if self._robot.time.now() > end:
                 raise ServoError(f"the finger did not stop within {BACK:g} s ({words.where(self._robot.report)})")
-            time.sleep(0.05)
-        begun = time.monotonic()
+            self._robot.time.sleep(0.05)
+        begun = self._robot.time.now()
         self._ask(what)
-        self.played.clock += [(begun, at), (time.monotonic(), at)]
+        self.played.clock += [(begun, at), (self._robot.time.now(), at)]
         self._engage(at)
 
     def _camera_there(self, now: float) -> bool:
@@ -181,15 +180,15 @@ class Player:
         return silent <= GONE
 
     def _await_camera(self) -> None:
-        end = time.monotonic() + LOST
+        end = self._robot.time.now() + LOST
         while not self._seen():
-            if time.monotonic() > end:
+            if self._robot.time.now() > end:
                 raise SoftmapError(
                     f"no frame came within {LOST:g} s; start the camera's program and check address and key "
                     "(docs/camera.md)"
                 )
-            time.sleep(0.05)
-        self._gather(time.monotonic())
+            self._robot.time.sleep(0.05)
+        self._gather(self._robot.time.now())
 
     def _gather(self, now: float) -> None:
         """Note what has arrived, and take the frames of looks that are long enough ago."""

@@ -7,7 +7,6 @@ undone in the control loop, from what was really sent. Where a camera sees the t
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
@@ -165,7 +164,7 @@ def track(
     delays, lags = (own + more for own, more in zip((delay, lag), kinematics.delays))  # (C,) s
     asked = early(plan.acting, plan.t, delays, lags)
     feedback = _Feedback(kinematics, plan, float(np.max(delays + lags)), late) if observe else None
-    begun = time.monotonic()
+    begun = robot.time.now()
 
     def command(t: float) -> Floats:
         u = np.array([np.interp(t, plan.t, column) for column in asked.T])
@@ -189,24 +188,26 @@ def _play(
     robot: Controller, command: Callable[[float], Floats], seconds: float, say: Callable[[float], None] | None = None
 ) -> None:
     """Send what `command` says at each time since now, `SENT` times a second; `say` the share done."""
-    begun = due = time.monotonic()
+    begun = due = robot.time.now()
     said = -1.0
-    while (now := time.monotonic()) - begun < seconds:
+    while (now := robot.time.now()) - begun < seconds:
         robot.target(command(now - begun))
         if say is not None and now - said >= 0.1:
             said = now
             say((now - begun) / seconds)
         due = max(due + 1.0 / SENT, now)
-        time.sleep(max(0.0, due - time.monotonic()))
+        robot.time.sleep(max(0.0, due - robot.time.now()))
 
 
 def _meanwhile(robot: Controller, command: Floats, work: Callable[[], T]) -> T:
     """Send `command` while a thread does `work`: the guard goes on hearing of this program, however slow a computer."""
+    if robot.time.stepped:
+        return work()  # time stands meanwhile
     with ThreadPoolExecutor(1) as pool:
         done = pool.submit(work)
         while not done.done():
             robot.target(command)
-            time.sleep(1.0 / SENT)
+            robot.time.sleep(1.0 / SENT)
         return done.result()
 
 

@@ -21,7 +21,6 @@ import struct
 import subprocess
 import sys
 import threading
-import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import TracebackType
@@ -35,10 +34,11 @@ from softmap_edge.errors import RecordingBroken, ServoError, SoftmapError
 from softmap_edge.motion.kinematics import Kinematics
 from softmap_edge.servo import session_mark, words
 from softmap_edge.servo.bench_limits import check_bench
+from softmap_edge.servo.clock import FROZEN, Clock
 from softmap_edge.servo.ending import kept_words, numbers, running
 from softmap_edge.servo.known_state import gains_of
 from softmap_edge.servo.rig import Rig
-from softmap_edge.servo.watched import FROZEN, Watched
+from softmap_edge.servo.watched import Watched
 from softmap_edge.ticks import Calibration
 
 Floats = NDArray[np.float64]
@@ -110,7 +110,8 @@ class Controller(Watched):
         self._command: Floats | None = None
         self._drove_at: float | None = None  # s of the last target, None once it was let go of
         self._pressed = False
-        self._silent = 0
+        self._silent, self._reports, self._some = 0, -1, b""
+        self._reading = threading.Lock()
 
     def __enter__(self) -> Self:
         session_mark.report_last(self.rig.port)
@@ -145,6 +146,11 @@ class Controller(Watched):
     def mended(self) -> list[str]:
         """What this start wrote anew in the servos, a line each: registers that another program had left."""
         return list(self._last.get("mended", []))
+
+    @property
+    def time(self) -> Clock:
+        """The time that the robot lives in: of a simulated one it may stand, or go faster than real time."""
+        return self.rig.time
 
     @property
     def bus(self) -> dict[str, int]:
@@ -234,8 +240,9 @@ class Controller(Watched):
         self._send()
         if not pressed:
             return
-        with self._heard:
-            off = self._heard.wait_for(lambda: self._last.get("emergency") and not self._last.get("torque"), FROZEN)
+        off = self.rig.time.wait_for(
+            self._heard, lambda: self._last.get("emergency") and not self._last.get("torque"), FROZEN
+        )
         process = self._process  # another thread may be closing it
         if not off and process is not None:
             self._rescue(process)
@@ -262,11 +269,11 @@ class Controller(Watched):
         try:
             if active := self._last.get("state") in ACTIVE:
                 self._send(request=REQUESTS.index("stop") + 1)
-                with self._heard:
-                    self._heard.wait_for(
-                        lambda: self._last.get("state") not in ACTIVE or self._frozen(),
-                        float(self.limits["slacken"]) + 2.0,
-                    )
+                self.rig.time.wait_for(
+                    self._heard,
+                    lambda: self._last.get("state") not in ACTIVE or self._frozen() or "gone" in self._last,
+                    float(self.limits["slacken"]) + 2.0,
+                )
             if active and self._last.get("state") == "fault" and not self._pressed:
                 ended = f"the robot is {words.where(self._last)}; {words.onward(self._last)}"
         finally:
@@ -274,11 +281,13 @@ class Controller(Watched):
                 self._ending, self._process = True, None
                 os.close(self._orders)
                 self._orders = -1
+            patience = self.rig.time.patience(3.0)
             try:
-                process.wait(3.0)
+                with self.rig.time.running():
+                    process.wait(patience)
             except subprocess.TimeoutExpired:
                 self._rescue(process)
-            self._reader.join(3.0)
+            self._reader.join(patience)
             if process.returncode != 0 and "error" not in self._last:
                 self._rescue(process)
             session_mark.end(self._mark)
@@ -324,7 +333,8 @@ class Controller(Watched):
         assert self._process.stdin is not None
         self._process.stdin.write(json.dumps(setup).encode())
         self._process.stdin.close()
-        self._silent = 0
+        self._silent, self._reports, self._some = 0, mine, b""
+        self.rig.time.each_step(self._drained)
         running.add(self)
         self._reader = threading.Thread(target=self._watch, args=(mine, self._process), daemon=True)
         self._reader.start()
@@ -332,28 +342,27 @@ class Controller(Watched):
     def _reach(self, request: str, seconds: float = 3.0) -> None:
         """Ask until it is granted: whether a servo has torque is heard five times a second, and one late answer is no
         trouble that lasts."""
-        until = time.monotonic() + SAID
+        until = self.rig.time.now() + SAID
         while True:
             try:
                 return self._ask(request, seconds)
             except ServoError:
-                if not str(self._last.get("denied")).startswith(PASSING) or time.monotonic() > until:
+                if not str(self._last.get("denied")).startswith(PASSING) or self.rig.time.now() > until:
                     raise
-            time.sleep(0.05)
+            self.rig.time.sleep(0.05)
 
     def _wait_for_release(self) -> None:
         """Wait while an emergency stop of the bench is pressed: a heartbeat needs a moment to be heard."""
-        with self._heard:
-            free = self._heard.wait_for(lambda: not self._last.get("emergency") or "gone" in self._last, STARTS)
-        if not free:
+        heard, last = self._heard, self._last
+        if not self.rig.time.wait_for(heard, lambda: not last.get("emergency") or "gone" in last, STARTS):
             raise ServoError(
                 f"the emergency stop is pressed or dead ({self.rig.emergency}); release it, start `softmap servo "
                 "heartbeat` on its computer, or mend [emergency] of rig.toml"
             )
 
     def _wait(self, what: Callable[[], Any], seconds: float, said: str) -> None:
+        self.rig.time.wait_for(self._heard, lambda: what() or "error" in self._last or "gone" in self._last, seconds)
         with self._heard:
-            self._heard.wait_for(lambda: what() or "error" in self._last or "gone" in self._last, seconds)
             last, came = self._last, what()
         if "error" in last:
             raise ServoError(str(last["error"]))
@@ -365,7 +374,7 @@ class Controller(Watched):
     def _send(self, command: Floats | None = None, *, deadman: bool = False, request: int = 0) -> None:
         numbers = np.zeros(len(self.rig.servos)) if command is None else command
         flags = (1 if deadman else 0) | (2 if self._pressed else 0) | (4 if command is not None else 0)
-        frame = struct.pack(f"<BB6xQ{len(numbers)}d", flags, request, time.monotonic_ns(), *numbers)
+        frame = struct.pack(f"<BB6xQ{len(numbers)}d", flags, request, round(self.rig.time.now() * 1e9), *numbers)
         try:
             with self._ordering:  # an emergency stop of another thread may come at any time, also before and after
                 if self._process is not None:
@@ -378,7 +387,7 @@ class Controller(Watched):
         if u is None or u.shape != shape:
             found = f"'{command!s:.40}'" if u is None else f"of shape {u.shape}"
             raise ServoError(f"a command {found}, expected shape {shape}: {shape[0]} real numbers, one a servo")
-        self._command, self._drove_at = u, time.monotonic()
+        self._command, self._drove_at = u, self.rig.time.now()
         self._send(u, deadman=True)
         if np.isfinite(u).all():
             self._done = self._nearest(u)
@@ -386,7 +395,7 @@ class Controller(Watched):
 
     def _silence(self) -> str | None:
         """Return state and cause where the guard let go because this program sent no target: that is the key."""
-        silent = 0.0 if self._drove_at is None else time.monotonic() - self._drove_at
+        silent = 0.0 if self._drove_at is None else self.rig.time.now() - self._drove_at
         if self._last.get("cause") not in ("deadman", "stale") or silent <= float(self.limits["stale"]):
             return None
         return f"in state {words.state(self._last)} (this program sent no target for {silent:.1f} s)"

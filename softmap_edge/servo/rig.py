@@ -14,6 +14,7 @@ from typing import Any
 from softmap_edge import _core
 from softmap_edge.errors import ServoError, SoftmapError
 from softmap_edge.servo.ceiling import RANGES, Ceiling, read_ceiling
+from softmap_edge.servo.clock import REAL_TIME, Clock
 from softmap_edge.servo.emergency import Emergency, read_emergency
 from softmap_edge.servo.models import servo_model
 from softmap_edge.servo.rig_text import noted
@@ -46,7 +47,8 @@ class RigServo:
 @dataclass(frozen=True)
 class Rig:
     """A port, its baud rate, and the servos in the order of the commands; `ceiling` is what all of them are allowed at
-    most, `emergency` the stops that the loop asks, `made` says how each thing was found.
+    most, `emergency` the stops that the loop asks, `made` says how each thing was found. `time` is that of the servos;
+    no file holds it.
 
     Raises:
         ServoError: two servos of one id, an unknown model, none or too many servos.
@@ -58,6 +60,7 @@ class Rig:
     ceiling: Ceiling = Ceiling()
     emergency: Emergency = Emergency()
     made: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    time: Clock = field(default=REAL_TIME, compare=False, repr=False)
 
     def __post_init__(self) -> None:
         ids = [servo.id for servo in self.servos]

@@ -22,8 +22,7 @@ from softmap_edge.servo.ending import kept_words
 from softmap_edge.servo.recording_end import broken_recording
 from softmap_edge.servo.rig import Rig
 
-FROZEN = 0.6  # s without a report after which the loop's process is taken to be frozen
-LOOKS = 6  # times in that at which its reports are looked for: a program that was frozen itself misses one of them
+LOOK = 0.1  # s between two looks for reports
 
 
 class Watched:
@@ -36,7 +35,10 @@ class Watched:
     _rescuing: threading.Lock
     _process: subprocess.Popen[bytes] | None
     _reader: threading.Thread
-    _silent: int  # looks of the reader, one after the other, that found no report
+    _silent: int  # looks of the reader, one after the other, that found no report: a frozen program itself misses one
+    _reports: int  # the pipe that reports come through, -1 without one
+    _reading: threading.Lock
+    _some: bytes  # of a report that is not whole yet
     _ending: bool
     _drove: bool
     _stood: NDArray[np.float64]
@@ -86,25 +88,38 @@ class Watched:
 
     def _watch(self, pipe: int, process: subprocess.Popen[bytes]) -> None:
         """Take the loop's reports until it ends; release its servos if it dies or freezes under torque."""
-        some = b""
-        while True:
-            if not select.select([pipe], [], [], FROZEN / LOOKS)[0]:
-                self._silent += 1
-                if self._frozen() and self._last.get("torque") and not self._ending:
-                    self._rescue(process)
+        whole = False
+        while not whole:
+            if select.select([pipe], [], [], LOOK)[0]:
+                whole = not self._take()
                 continue
-            self._silent, more = 0, os.read(pipe, 65536)
-            *lines, some = (some + more).split(b"\n")
-            for line in lines:
-                self._hear(json.loads(line))
-            if not more:
-                break
-        os.close(pipe)
+            self._silent += 1
+            if self._frozen() and self._last.get("torque") and not self._ending:
+                self._rescue(process)
+        with self._reading:
+            self._reports = -1
+            os.close(pipe)
         if not self._ending and not self._end and "error" not in self._last:
             self._rescue(process)
         with self._heard:
             self._last.setdefault("gone", self._last.get("rescued", "the process of the control loop has ended"))
             self._heard.notify_all()
+
+    def _take(self) -> bool:
+        """Hear what has come; returns whether more may come. Also called by whoever steps a simulated robot."""
+        with self._reading:
+            while self._reports >= 0 and select.select([self._reports], [], [], 0.0)[0]:
+                self._silent, more = 0, os.read(self._reports, 65536)
+                if not more:
+                    return False
+                *lines, self._some = (self._some + more).split(b"\n")
+                for line in lines:
+                    self._hear(json.loads(line))
+        return True
+
+    def _drained(self) -> None:
+        """Hear what has come, so that what is known of the loop is as of its newest step."""
+        self._take()
 
     def _hear(self, document: dict[str, Any]) -> None:
         with self._heard:
@@ -121,14 +136,14 @@ class Watched:
             self._heard.notify_all()
 
     def _frozen(self) -> bool:
-        return self._silent >= LOOKS
+        return self._silent * LOOK >= self.rig.time.frozen - 0.5 * LOOK
 
     def _rescue_if_needed(self) -> None:
         process = self._process
         if process is None or "error" in self._last:
             return
         if process.poll() is not None and self._reader is not threading.current_thread():
-            self._reader.join(FROZEN)  # why it ended is being read
+            self._reader.join(self.rig.time.patience(0.6))  # why it ended is being read
         if (process.poll() is not None and not self._end and "error" not in self._last) or self._frozen():
             self._rescue(process)
 

@@ -178,7 +178,7 @@ def limits(report: dict[str, Any]) -> list[str]:
 def lost(report: dict[str, Any], why: str) -> str:
     """Return why driving ended, where the guard's report does not say so, and what leads on."""
     state = str(report.get("state", "off"))
-    again = "let go of the key and press it anew"
+    again = "release the key and press it again"
     if state in ("off", "connected") or (state == "fault" and report.get("cause") in LOSES_HOME):
         again = "end this, and prove home anew (softmap servo home)"
         if report.get("cause") == "hardware":

@@ -22,12 +22,14 @@ from softmap_edge.motion.kinematics import Kinematics
 from softmap_edge.servo import words
 from softmap_edge.servo.controller import Controller
 from softmap_edge.teleop.aim import Aim
+from softmap_edge.teleop.busy import Busy
 from softmap_edge.teleop.clutch import Clutch
 from softmap_edge.teleop.eyes import SEEN, Eyes, Sight
 from softmap_edge.teleop.gesture import Deadman, Rule
-from softmap_edge.teleop.hand import HandMap
+from softmap_edge.teleop.hand import Hand, HandMap
 from softmap_edge.teleop.keys import Controls, Input
 from softmap_edge.teleop.one_euro import OneEuro, OneEuroState
+from softmap_edge.teleop.own_hand import ANOTHER, OwnHand
 
 Floats = NDArray[np.float64]
 
@@ -44,6 +46,7 @@ class Account:
 
     states: dict[str, float] = field(default_factory=dict)  # s
     engaged_s: float = 0.0
+    busy_s: float = 0.0  # for which a simulated robot stood, because the computer was too busy
     presses: int = 0
     lost: Counter[str] = field(default_factory=Counter)
     latency: list[float] = field(default_factory=list)  # s from a picture to the target sent for it
@@ -59,6 +62,7 @@ class Account:
             "latency_ms": {"median": _round(np.median(ms)), "p95": _round(np.quantile(ms, 0.95))} if several else None,
             "states_s": {state: round(seconds, 3) for state, seconds in self.states.items()},
             "driving_s": round(self.engaged_s, 3),
+            "busy_s": round(self.busy_s, 3),
             "presses": self.presses,
             "lost": dict(self.lost),
             "ended": self.ended,
@@ -84,6 +88,7 @@ class Moment:
     led: Floats | None
     age: float | None
     lacking: str
+    busy: str = ""  # the computer is too busy for a simulated robot
 
 
 class Drive:
@@ -120,9 +125,13 @@ class Drive:
         self._stays, self._sent, self._show, self._say = stays, sent, show, say
         self._smooth: OneEuroState | None = None
         self._last_sight = -1
+        self._own = OwnHand()  # that of the press, while it drives
+        self._hand: Hand | None = None  # that counts in the newest sight
+        self._held_by: Hand | None = None  # the one that the filter heard last
         self._start = (np.zeros(2), np.zeros(2))  # where hand or knob, and the finger, were at the press
         self._source, self._led, self._driven = "", np.zeros(2), -np.inf
         self._line = ""
+        self._busy = Busy(robot.time, self._note)
         self.account = Account()
 
     def run(self, seconds: float | None = None) -> Account:
@@ -133,6 +142,7 @@ class Drive:
                 now = time.monotonic()
                 self._count(now - before)
                 before = now
+                self._busy.round(now)
                 self._once(now)
                 if seconds is not None and now - begun >= seconds:
                     self.account.ended = f"after {seconds:g} s, as asked"
@@ -142,6 +152,8 @@ class Drive:
         finally:
             if self._clutch.stage == "driving":
                 self._robot.release()
+            self._busy.end()
+            self.account.busy_s = self._busy.seconds
         return self.account
 
     # --- one round ----------------------------------------------------------------------
@@ -176,10 +188,11 @@ class Drive:
                 one.rest(self._knob(here))
         self._tell(report)
         if self._show is not None:
-            seen = None if self._smooth is None or now - self._smooth.t > SEEN else self._smooth.x
+            seen = None if self._smooth is None or self._old(self._smooth.t, now) else self._smooth.x
             age = None if sight is None else now - sight.t
             led = self._led if self._clutch.stage == "driving" else None
-            self._show(Moment(now, report, self._clutch, controls, sight, seen, here, led, age, lacking))
+            busy = self._busy.line(now)
+            self._show(Moment(now, report, self._clutch, controls, sight, seen, here, led, age, lacking, busy))
 
     def _take(self) -> Sight | None:
         """Take the newest sight, once, into the filter."""
@@ -187,9 +200,10 @@ class Drive:
         if sight is None or sight.number == self._last_sight:
             return sight
         self._last_sight = sight.number
-        seen = self._eyes.view.projection(sight.hand)
+        self._hand = self._own.among(sight.hands, sight.t) if self._clutch.stage == "driving" else sight.hand
+        seen = self._eyes.view.projection(self._hand)
         if seen is not None:
-            self._smooth = self._filter.step(self._smooth, sight.t, seen)
+            self._smooth, self._held_by = self._filter.step(self._smooth, sight.t, seen), self._hand
         return sight
 
     def _holding(self, now: float) -> tuple[str, Controls]:
@@ -203,8 +217,8 @@ class Drive:
     def _lacking(self, now: float, state: str, controls: Controls, key: bool) -> str:
         """Return in words what driving lacks, empty where nothing does."""
         sight = self._eyes.newest()
-        shown = sight if sight is not None and now - sight.t <= SEEN else None
-        gesture = self._gesture.held(key, None if shown is None else shown.hand, now)
+        shown = None if sight is None or self._old(sight.t, now) else sight
+        gesture = self._gesture.held(key, None if shown is None else self._hand, now)
         if state not in (DRIVABLE if self._clutch.stage == "driving" else BEGINS):
             return words.sentence(self._robot.report)
         if controls.source == "knob":
@@ -213,13 +227,17 @@ class Drive:
             return self._eyes.gone
         if shown is None:
             return f"{self._eyes.name}: no picture" + (" yet" if sight is None else f" for {now - sight.t:.1f} s")
-        if self._smooth is None or now - self._smooth.t > SEEN:
-            return "no hand is seen"
+        if self._smooth is None or self._old(self._smooth.t, now):
+            return ANOTHER if self._clutch.stage == "driving" and self._own.other else "no hand is seen"
         return "" if gesture or not key else f"the hand lets go ({self._gesture.rule})"
+
+    def _old(self, t: float, now: float) -> bool:
+        return self._busy.age(t, now) > SEEN
 
     def _press(self, state: str, report: dict[str, Any], controls: Controls) -> None:
         """Begin: what is seen now stands for where the finger is."""
         self.account.presses += 1
+        self._own.begin(self._held_by, -np.inf if self._smooth is None else self._smooth.t)
         at = np.zeros(2) if state == "ready" else self._here(report)
         self._start = (self._pointed(controls), at)
         if state == "ready":

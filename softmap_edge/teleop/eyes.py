@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from softmap_edge.errors import TeleopError, brief
 from softmap_edge.teleop.frames import CameraFrames, FileFrames, Frame
-from softmap_edge.teleop.hand import Hand, View
+from softmap_edge.teleop.hand import Hand, View, surest
 from softmap_edge.teleop.keys import Controls, HeldKey
 from softmap_edge.teleop.landmarker import Landmarker
 from softmap_edge.teleop.landmarks_udp import Receiver
@@ -32,13 +32,14 @@ FRESH = 0.5  # s for which an old message is still news: beyond, the sender was 
 
 @dataclass(frozen=True, eq=False)
 class Sight:
-    """The driving hand in a picture, if any, when it was taken (s, steady clock), its number from 0, and the picture
-    (None where landmarks came alone)."""
+    """The surest hand that may drive in a picture, if any, when it was taken (s, steady clock), its number from 0, the
+    picture (None where landmarks came alone), and all hands in it that may drive."""
 
     t: float
     number: int
     hand: Hand | None
     picture: NDArray[np.uint8] | None = None
+    hands: tuple[Hand, ...] = ()
 
 
 class Pictures(Protocol):
@@ -140,8 +141,8 @@ class CameraEyes(Eyes):
             for frame in self._pictures:
                 if self._done.is_set():
                     return
-                hand = self.view.driving(self._finder.see(frame.picture, frame.t))
-                self._see(Sight(frame.t, frame.number, hand, frame.picture))
+                hands = self.view.allowed(self._finder.see(frame.picture, frame.t))
+                self._see(Sight(frame.t, frame.number, surest(hands), frame.picture, tuple(hands)))
         except TeleopError:
             if not self._done.is_set():
                 raise
@@ -170,8 +171,8 @@ class FarEyes(Eyes):
             last = got.message
             now = time.monotonic()
             self._key.say(last.held, now - got.age)
-            hand = None if last.hand is None else self.view.driving([last.hand])
-            self._see(Sight(now - got.age, got.sequence, hand))
+            hands = self.view.allowed([] if last.hand is None else [last.hand])
+            self._see(Sight(now - got.age, got.sequence, surest(hands), None, tuple(hands)))
         self._receiver.close()
 
     def controls(self, now: float) -> Controls:

@@ -22,13 +22,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.errors import TeleopError
+from softmap_edge.teleop import devices
 from softmap_edge.teleop.installed import INSTALL
 
 WIDTH, HEIGHT, RATE = 640, 480, 30.0  # what a camera is asked for, as in the paper; it may give something else
 SILENCE = 2.0  # s without a picture, after which a camera is gone
 FASTEST = 1000.0  # pictures a second that a file may claim
 MISSING = 0.02  # share of the pictures that a file claims and may lack: some count more than they hold
-DEVICES = Path("/dev")
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,10 +49,12 @@ class UdpAddress:
 
 
 def source(text: str) -> int | Path | UdpAddress:
-    """Return what `--camera N | FILE | udp://HOST:PORT` names: a camera, a video file or a place for landmarks.
+    """Return what `--camera N | /dev/… | FILE | udp://HOST:PORT` names: a camera, a video file, a place for landmarks.
+
+    A path of a device is a camera, by the number of what it links to; any other path is a video file.
 
     Raises:
-        TeleopError: it names none of these.
+        TeleopError: it names none of these, or a device that is no camera.
     """
     if text.isascii() and text.isdigit() and len(text) <= 4:
         return int(text)
@@ -66,8 +68,9 @@ def source(text: str) -> int | Path | UdpAddress:
             raise TeleopError(f"camera: {text!r:.80} is no udp://HOST:PORT with a port of 1 to 65535")
         return UdpAddress(parts.hostname or "", port)
     if "://" in text or not text or "\0" in text:
-        raise TeleopError(f"camera: {text!r:.80}; give the number of a camera, a video file or udp://HOST:PORT")
-    return Path(text)
+        raise TeleopError(f"camera: {text!r:.80}; give the number or path of a camera, a video file or udp://HOST:PORT")
+    number = devices.camera_number(text, devices.DEVICES)
+    return Path(text) if number is None else number
 
 
 class FileFrames:
@@ -85,7 +88,7 @@ class FileFrames:
         self.path, self.live = Path(path), live
         cv2 = _cv2()
         if not self.path.is_file():
-            raise TeleopError(f"{path}: no such video file; give one, or the number of a camera")
+            raise TeleopError(f"{path}: no such video file; give one, or a camera; {devices.there(devices.DEVICES)}")
         self._video = cv2.VideoCapture(str(self.path.resolve()), cv2.CAP_FFMPEG)
         self.rate = float(self._video.get(cv2.CAP_PROP_FPS)) if self._video.isOpened() else math.nan
         self.claimed = self._video.get(cv2.CAP_PROP_FRAME_COUNT)
@@ -203,11 +206,12 @@ class CameraFrames:
 
 def _opened(index: int) -> Any:
     cv2 = _cv2()
-    file = DEVICES / f"video{index}"
+    file = devices.DEVICES / f"video{index}"
     if not file.exists():
-        there = ", ".join(sorted(str(device) for device in DEVICES.glob("video*")))
-        mend = f"there are {there}" if there else "connect one, or give a video file or udp://:PORT"
-        raise TeleopError(f"camera {index}: there is no {file}; {mend}")
+        here = devices.there(devices.DEVICES)
+        raise TeleopError(
+            f"camera {index}: there is no {file}; {here}; give another camera, a video file or udp://:PORT"
+        )
     if not os.access(file, os.R_OK | os.W_OK):
         raise TeleopError(f"camera {index}: no permission for {file}; run sudo usermod -aG video $USER and log in anew")
     device = cv2.VideoCapture(index, cv2.CAP_V4L2)

@@ -76,6 +76,11 @@ def projection(hand: Hand, finger: tuple[int, int] = (INDEX_KNUCKLE, INDEX_TIP))
     return found if np.abs(found).max() <= FARTHEST else None
 
 
+def surest(hands: list[Hand]) -> Hand | None:
+    """Return the hand of the highest score; None of none."""
+    return max(hands, key=lambda hand: hand.score, default=None)
+
+
 @dataclass(frozen=True)
 class View:
     """How the camera sees the operator.
@@ -100,10 +105,13 @@ class View:
             return hand.side
         return "left" if hand.side == "right" else "right"
 
+    def allowed(self, hands: list[Hand]) -> list[Hand]:
+        """Return the hands that may drive."""
+        return [hand for hand in hands if self.hand in ("any", self.side(hand))]
+
     def driving(self, hands: list[Hand]) -> Hand | None:
         """Return the surest of the hands that may drive, or None."""
-        allowed = [hand for hand in hands if self.hand in ("any", self.side(hand))]
-        return max(allowed, key=lambda hand: hand.score, default=None)
+        return surest(self.allowed(hands))
 
     def projection(self, hand: Hand | None) -> Floats | None:
         """Return (c_f, c_r) of the index finger, c_r positive to the right of a picture that is not mirrored."""

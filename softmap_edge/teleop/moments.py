@@ -88,7 +88,7 @@ class Shown:
             "lost": words.lost(report, clutch.why) if clutch.stage == "lost" else "",
             "lacking": moment.lacking,
             "source": moment.controls.source,
-            "limits": words.limits(report) + _at_ends(led, self._aim),
+            "limits": words.limits(report) + _at_ends(led, self._aim) + [moment.busy] * bool(moment.busy),
             "here": [round(float(x), 3) for x in moment.here],
             "led": [round(float(x), 3) for x in led],
             "hand": hand,

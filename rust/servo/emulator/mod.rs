@@ -5,8 +5,10 @@
 //! pseudo-terminal (`pty.rs`) in real time. What it is for: every fault of docs/safety.md, without breaking a servo.
 
 mod motor;
+mod pace;
 pub mod pty;
 pub mod servo;
+pub mod simulated;
 mod table;
 #[cfg(test)]
 pub(crate) mod virtual_port;

@@ -1,0 +1,78 @@
+"""The cameras of this computer, by number, by lasting name, and by path (`/dev/videoN` and what links to one).
+
+Numbers change with every plugging in; the names under `v4l/by-id` and `v4l/by-path` stay. Pinned by
+tests/test_frames.py.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+from softmap_edge.errors import TeleopError
+
+DEVICES = Path("/dev")
+LASTING = ("v4l/by-id", "v4l/by-path")
+NODE = re.compile(r"video([0-9]{1,4})")
+MOST = 8  # cameras that a message lists
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A camera: its number, its file, and the names that stay, the clearest first."""
+
+    number: int
+    file: Path
+    names: tuple[Path, ...] = ()
+
+    def __str__(self) -> str:
+        return f"{self.number} ({self.names[0] if self.names else self.file})"
+
+
+def cameras(devices: Path = DEVICES) -> list[Camera]:
+    """Return the cameras that are there, in the order of their numbers."""
+    links = [link for folder in LASTING for link in sorted((devices / folder).glob("*"))]
+    found = []
+    for file in devices.glob("video*"):
+        if (number := _number(file, devices)) is not None and not file.is_symlink():
+            names = tuple(link for link in links if os.path.realpath(link) == os.path.realpath(file))
+            found.append(Camera(number, file, names))
+    return sorted(found, key=lambda camera: camera.number)
+
+
+def there(devices: Path = DEVICES) -> str:
+    """Return what a message says of the cameras that are there."""
+    found = cameras(devices)
+    more = f" and {len(found) - MOST} more" if len(found) > MOST else ""
+    return f"the cameras here are {', '.join(map(str, found[:MOST]))}{more}" if found else "no camera is connected"
+
+
+def camera_number(text: str, devices: Path = DEVICES) -> int | None:
+    """Return the number of the camera that a path stands for; None where it is not one of a device.
+
+    Raises:
+        TeleopError: it is the path of a device, but of no camera that is there.
+    """
+    try:
+        path = Path(os.path.abspath(text))
+        number, exists = _number(path, devices), path.exists()
+        if number is not None and exists:
+            return number
+        if path.is_file() or not (path.is_relative_to(devices) or number is not None or path.is_char_device()):
+            return None
+    except (OSError, RuntimeError, ValueError) as fault:
+        why = getattr(fault, "strerror", None) or "links in a circle"
+        raise TeleopError(f"camera: {text!r:.80} cannot be read ({why.lower()}); {there(devices)}") from None
+    what = "is no camera" if exists else "is not there" if number is None else f"links to camera {number}, now gone"
+    if not exists and path == devices / f"video{number}":
+        what = "is not there"
+    raise TeleopError(f"camera {text:.120}: {what}; {there(devices)}; plug it in, or give another")
+
+
+def _number(path: Path, devices: Path) -> int | None:
+    """Return N of the videoN that a path is, or links to."""
+    file = path.resolve()
+    node = NODE.fullmatch(file.name)
+    return int(node[1]) if node and file.parent == devices.resolve() else None
