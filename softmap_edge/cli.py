@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import argparse
+import contextlib
 import importlib
 import os
 import re
@@ -11,9 +11,13 @@ from importlib.metadata import entry_points
 
 from softmap_edge import SoftmapError, __version__
 from softmap_edge.commands import ELSEWHERE, VERBS, Verb
+from softmap_edge.commands.parser import Parser
+from softmap_edge.commands.pipe import outliving
+from softmap_edge.errors import no_name
 
 DONE, FAULT, WRONG_USE = 0, 1, 2
 NEGATIVE = re.compile(r"-[\d.][^:]*,")
+HELP = "help"  # softmap help VERB
 INTERRUPTED = 130  # as a shell reports Ctrl-C
 
 
@@ -22,18 +26,21 @@ def main(argv: list[str] | None = None) -> int:
     argv = sys.argv[1:] if argv is None else argv
     # Small factorisations are ten times slower with BLAS threads; read when numpy is first loaded.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    verbs = {verb.name: verb for verb in [*VERBS, *_plugged_in()]}
+    verbs = {verb.name: verb for verb in verbs_here()}
     if not argv or argv[0] in ("-h", "--help"):
         print(_overview(list(verbs.values())))
         return DONE if argv else WRONG_USE
     if argv[0] == "--version":
         print(f"softmap {__version__}")
         return DONE
+    if argv[0] == HELP:  # `softmap help servo scan` is `softmap servo scan --help`
+        argv = [*[word for word in argv[1:] if not word.startswith("-")], "--help"]
+        return main(argv)
     if argv[0] not in verbs:
         if argv[0] in ELSEWHERE:
             print(f"softmap: '{argv[0]}' is in another package: {ELSEWHERE[argv[0]]}", file=sys.stderr)
         else:
-            print(f"softmap: no verb '{argv[0]}'; there are {', '.join(verbs)}", file=sys.stderr)
+            print(f"softmap: {no_name('command', argv[0], [*verbs, HELP])}", file=sys.stderr)
         return WRONG_USE
     try:
         return _run(verbs[argv[0]], argv[1:])
@@ -42,12 +49,24 @@ def main(argv: list[str] | None = None) -> int:
         return INTERRUPTED
 
 
+def parser_of(verb: Verb) -> Parser:
+    """Return the argument parser of a verb."""
+    module = importlib.import_module(verb.module)
+    parser = Parser(prog=f"softmap {verb.name}", description=verb.help)
+    getattr(module, f"{verb.name.replace('-', '_')}_arguments")(parser)
+    parser.add_argument("--json", action="store_true", help="print one JSON document instead of text")
+    return parser
+
+
+def verbs_here() -> list[Verb]:
+    """Return the verbs of this installation."""
+    return [*VERBS, *_plugged_in()]
+
+
 def _run(verb: Verb, argv: list[str]) -> int:
     module = importlib.import_module(verb.module)
     function = verb.name.replace("-", "_") + ("_" if verb.name == "import" else "")
-    parser = argparse.ArgumentParser(prog=f"softmap {verb.name}", description=verb.help)
-    getattr(module, f"{function.rstrip('_')}_arguments")(parser)
-    parser.add_argument("--json", action="store_true", help="print one JSON document instead of text")
+    parser = parser_of(verb)
     # A command such as -8,3 is no option; argparse leaves alone what holds a space.
     argv = [f" {word}" if NEGATIVE.match(word) else word for word in argv]
     try:
@@ -55,11 +74,9 @@ def _run(verb: Verb, argv: list[str]) -> int:
     except SystemExit as stop:  # argparse has printed why
         return int(stop.code or 0)
     try:
-        code = int(getattr(module, function)(args))
-        if sys.stdout is not None:  # closed by whoever started it
-            sys.stdout.flush()  # a closed pipe is told here, not when the interpreter ends
-        return code
-    except BrokenPipeError:  # the reader, `head` perhaps, has seen enough
+        with contextlib.nullcontext() if getattr(args, "live", False) else outliving():
+            return int(getattr(module, function)(args))
+    except BrokenPipeError:  # the reader of something live has seen enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return DONE
     except SoftmapError as error:
@@ -86,7 +103,7 @@ def _plugged_in() -> list[Verb]:
 
 
 def _overview(verbs: list[Verb]) -> str:
-    lines = ["usage: softmap VERB [options]   (softmap VERB --help)", ""]
+    lines = ["usage: softmap VERB [options]   (softmap help VERB)", ""]
     for group in dict.fromkeys(verb.group for verb in verbs):
         lines.append(f"{group}:")
         lines += [f"  {verb.name:<10} {verb.help}" for verb in verbs if verb.group == group]

@@ -108,19 +108,18 @@ def no_name(what: str, name: str, known: Iterable[str], most: int | None = None)
         most: how many of them are listed; None for all.
     """
     names = list(known)
-    near = nearest(name, names)
+    near = next(iter(nearest(name, names)), None)
     listed = ", ".join(names[:most]) + (f", … ({len(names)} in all)" if most is not None and len(names) > most else "")
-    head = f"no {what} '{name:.60}'; "
-    return head + (f"did you mean '{near}'? There are {listed}" if near else f"there are {listed or 'none'}")
+    hint = f"; did you mean '{near}'?" if near else ""
+    return f"no {what} '{name:.60}'; there are {listed or 'none'}{hint}"
 
 
-def nearest(name: str, known: Iterable[str]) -> str | None:
-    """Return the known name that is spelt most like `name`; None if none is near."""
+def nearest(name: str, known: Iterable[str], most: int = 1) -> list[str]:
+    """Return the known names that are spelt most like `name`, the nearest first; none if none is near."""
     from difflib import get_close_matches
 
     names = {one.lower(): one for one in known}
-    found = get_close_matches(name.lower()[:60], names, 1)
-    return names[found[0]] if found else None
+    return [names[one] for one in get_close_matches(name.lower()[:60], names, most)]
 
 
 def no_effect(name: str, known: Iterable[str]) -> str:

@@ -282,8 +282,9 @@ class Run:
             return self.present
         if self.command is None:
             raise RunError(
-                "command: the run holds ticks only, and the model has no calibration; `softmap calibrate RUN --bundle "
-                "DIR --out DIR2` finds one from a run with ticks and shapes, then give --bundle DIR2"
+                "command: the run holds ticks, and the model takes another unit without a calibration; `softmap learn "
+                "RUN --out DIR` makes a model in ticks from a run with markers, `softmap calibrate RUN --bundle DIR "
+                "--out DIR2` calibrates a model of this robot; then give --bundle DIR or DIR2"
             )
         return self.command
 

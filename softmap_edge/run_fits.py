@@ -38,11 +38,18 @@ def _facts(one: Run, other: Run) -> Iterator[tuple[str, Any, Any]]:
     yield "as what was seen", _seen(one), _seen(other)
     yield "points a frame", _count(one), _count(other)
     yield "as the names of its markers", one.marker_names, other.marker_names
-    yield (
-        "as its outputs",
-        *(run.output and f"{', '.join(run.output.names)} in {run.output.unit}" for run in (one, other)),
-    )
-    yield "as its time", *("rows without time" if run.timeless else "seconds" for run in (one, other))
+    yield "as its outputs", _outputs(one), _outputs(other)
+    yield "as its time", _time(one), _time(other)
+
+
+def _outputs(run: Run) -> str | None:
+    """Return the names and the unit of the outputs; None for places."""
+    return None if run.output is None else f"{', '.join(run.output.names)} in {run.output.unit}"
+
+
+def _time(run: Run) -> str:
+    """Return what the times of a run are."""
+    return "rows without time" if run.timeless else "seconds"
 
 
 def _text(value: Any) -> str:

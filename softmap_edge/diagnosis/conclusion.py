@@ -66,7 +66,6 @@ class Context:
     impossible: Sequence[Untestable] = ()
     own: OwnMisfit | None = None
     masked: Masked | None = None
-    seed: int = 0
     proof: Certified | None = None
 
 
@@ -406,7 +405,6 @@ def _made_from(outcome: Outcome, order: Sequence[str], context: Context, registr
     record = problem.record
     return {
         "softmap": __version__,
-        "seed": context.seed,
         "run": record.whole[0].hash() if len(record.whole) == 1 else [run.hash() for run in record.whole],
         "held_out": None if other is None else other.whole[0].hash(),
         "reference": None if record.replay is None else asdict(record.replay),

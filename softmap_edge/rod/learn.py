@@ -23,6 +23,7 @@ from softmap_edge.coverage import Coverage
 from softmap_edge.diagnosis.base_motion import kept_places
 from softmap_edge.errors import RunError, SoftmapError
 from softmap_edge.folds import folds
+from softmap_edge.home_command import home_command
 from softmap_edge.learned_in import LearnedIn
 from softmap_edge.model import NOMINAL, Model
 from softmap_edge.rod.elastic import ElasticParameters
@@ -193,7 +194,7 @@ def _notes(seen: Seen, fitted: Fitted, error: float) -> tuple[str, ...]:
     commands, stray = seen.drive.commands, seen.stray
     for c in np.flatnonzero(np.ptp(commands, axis=0) == 0):
         notes.append(f"command {c + 1} stays at {commands[0, c]:g} {unit}: the rod does not know what it does")
-    notes += [*_dependent(commands, unit), *_turned(seen.runs)]
+    notes += [*_dependent(commands, unit), *_turned(seen.runs), *_from_home(commands, unit)]
     if error > USELESS * stray:
         notes.append(
             f"the held-out error of {error:.2f} mm RMS is hardly below the {stray:.2f} mm RMS of a constant "
@@ -228,6 +229,27 @@ def _turned(runs: Sequence[Run]) -> list[str]:
     return [
         f"the runs were recorded in orientations {angle:.0f} degrees apart, and a learned model has one shape for each "
         "command: its weight may look like memory; learn from one orientation, or describe the robot in finger.toml"
+    ]
+
+
+def _rest(reach: Floats) -> Floats:
+    """Return the command (C,) at rest: 0, or the middle of a range (C, 2) that lies far from 0."""
+    home = home_command(reach)
+    return np.where((home > reach[:, 0]) & (home < reach[:, 1]), home, 0.0)
+
+
+def _from_home(commands: Floats, unit: str) -> list[str]:
+    """Return a sentence if the commands are not counted from home."""
+    reach = np.stack([commands.min(axis=0), commands.max(axis=0)], axis=1)
+    home = _rest(reach)
+    far = np.flatnonzero(home)
+    if not len(far):
+        return []
+    c = int(far[0])
+    span = f"command {c + 1} goes from {reach[c, 0]:.6g} to {reach[c, 1]:.6g} {unit}"
+    return [
+        f"{span}, far from 0: effects such as gain, play and slack count from 0, which is home; subtract home in the "
+        f"mapping (`offset`); the middle of its range ({home[c]:.6g} {unit}) is taken as the pose at rest"
     ]
 
 
@@ -287,7 +309,8 @@ def learned_model(runs: Run | Sequence[Run], learned: LearnedRod) -> Model:
     run, markers = together[0], len(learned.per_marker_mm)
     rod = learned.rod.compiled()
     commands = np.concatenate([one.commands(learned.input) for one in together])
-    home = rod.evaluate(np.zeros((1, commands.shape[1]))).reshape(-1, 3)
+    reach = np.stack([commands.min(axis=0), commands.max(axis=0)], axis=1)
+    home = rod.evaluate(_rest(reach)[None]).reshape(-1, 3)
     model = Model(
         kind="rod",
         prior=rod,
@@ -298,7 +321,7 @@ def learned_model(runs: Run | Sequence[Run], learned: LearnedRod) -> Model:
         vertex_error_mm=learned.error_mm,
         tip_indices=np.array([markers - 1]),
         gravity_reference=_gravity(run),
-        command_range=np.stack([commands.min(axis=0), commands.max(axis=0)], axis=1),
+        command_range=reach,
         robot=run.robot or str(learned.made_from.get("robot", "robot")),
         command_unit=run.command_unit,
         input=learned.input,
