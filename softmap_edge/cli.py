@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import importlib
 import os
 import re
@@ -24,6 +23,14 @@ INTERRUPTED = 130  # as a shell reports Ctrl-C
 def main(argv: list[str] | None = None) -> int:
     """Run one verb; return 0 when done, 1 for a fault or a worse error, 2 for wrong use, 130 when interrupted."""
     argv = sys.argv[1:] if argv is None else argv
+    if "--live" in argv:  # what is live ends with its reader
+        return _main(argv)
+    with outliving():
+        return _main(argv)
+
+
+def _main(argv: list[str]) -> int:
+    """Find the verb and run it."""
     # Small factorisations are ten times slower with BLAS threads; read when numpy is first loaded.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     verbs = {verb.name: verb for verb in verbs_here()}
@@ -34,8 +41,7 @@ def main(argv: list[str] | None = None) -> int:
         print(f"softmap {__version__}")
         return DONE
     if argv[0] == HELP:  # `softmap help servo scan` is `softmap servo scan --help`
-        argv = [*[word for word in argv[1:] if not word.startswith("-")], "--help"]
-        return main(argv)
+        return _main([*[word for word in argv[1:] if not word.startswith("-")], "--help"])
     if argv[0] not in verbs:
         if argv[0] in ELSEWHERE:
             print(f"softmap: '{argv[0]}' is in another package: {ELSEWHERE[argv[0]]}", file=sys.stderr)
@@ -74,8 +80,10 @@ def _run(verb: Verb, argv: list[str]) -> int:
     except SystemExit as stop:  # argparse has printed why
         return int(stop.code or 0)
     try:
-        with contextlib.nullcontext() if getattr(args, "live", False) else outliving():
-            return int(getattr(module, function)(args))
+        code = int(getattr(module, function)(args))
+        if sys.stdout is not None:  # closed by whoever started it
+            sys.stdout.flush()  # a closed pipe is noticed here, not when the interpreter ends
+        return code
     except BrokenPipeError:  # the reader of something live has seen enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return DONE

@@ -191,7 +191,7 @@ def test_ticks_stay_ticks(tmp_path):
     found = guess_mapping([path])
     run = imported(tmp_path, found, [path]).run
     assert run.command_unit == "ticks" and np.array_equal(run.command, u) and np.array_equal(run.present, u)
-    assert told(found.unknown, "home: the ticks at which the robot rests", "offset = [-20")
+    assert told(found.unknown, "home: the ticks at which the robot rests", "offset = [-")
 
 
 def test_semicolons_labels_current_and_doubled_stamps(tmp_path):

@@ -124,8 +124,8 @@ def test_a_range_far_from_home_is_reported_and_its_middle_is_the_pose_at_rest():
     away = learn_model(arm(), static=True)
     np.testing.assert_allclose(away.rest, model.rest, atol=1.5)  # the middle of the range, not ticks of 0
     for reach, home in (
-        ([[-5, 9]], [0.0]), ([[2, 20]], [2.0]), ([[-20, -1]], [-1.0]), ([[1000, 3000], [-4, 4]], [2000.0, 0.0]),
-        ([[7, 7]], [7.0]), ([[-3000, -1000]], [-2000.0]),
+        ([[-5, 9]], [0.0]), ([[2, 20]], [2.0]), ([[-20, -1]], [-1.0]), ([[1200, 3000], [-4, 4]], [2100.0, 0.0]),
+        ([[7, 7]], [7.0]), ([[-3100, -1200]], [-2150.0]),
     ):  # fmt: skip
         np.testing.assert_array_equal(home_command(reach), home)
 
