@@ -19,4 +19,4 @@ def home_command(reach: ArrayLike) -> NDArray[np.float64]:
     """
     low, high = np.asarray(reach, float).reshape(-1, 2).T
     far = (np.maximum(low, -high) > FAR * (high - low)) & (high > low)
-    return np.where(far, 0.5 * (low + high), np.clip(0.0, np.minimum(low, high), np.maximum(low, high)))
+    return np.asarray(np.where(far, 0.5 * (low + high), np.clip(0.0, np.minimum(low, high), np.maximum(low, high))))

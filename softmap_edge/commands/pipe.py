@@ -44,7 +44,7 @@ class Outliving:
 def outliving() -> Iterator[None]:
     """Let standard output and standard error outlive their readers."""
     streams = sys.stdout, sys.stderr
-    sys.stdout, sys.stderr = (None if one is None else Outliving(one) for one in streams)  # type: ignore[assignment]
+    sys.stdout, sys.stderr = (None if one is None else Outliving(one) for one in streams)
     try:
         yield
     finally:

@@ -236,9 +236,12 @@ def _refit_finger(args: argparse.Namespace) -> int:
 
 def warn_outside(verb: str, model: Any, run: Any) -> None:
     """Tell on stderr, beside any document, where a run leaves the commands or the frame of the model."""
+    from softmap_edge.flat import plane_of
     from softmap_edge.outside import beyond, elsewhere
 
-    for note in [*beyond(model, run), *elsewhere(model, run)]:
+    plane = plane_of(run)
+    flat = [] if plane is None else [f"{plane}; no effect across it is tested"]
+    for note in [*beyond(model, run), *elsewhere(model, run), *flat]:
         print(f"softmap {verb}: {note}", file=sys.stderr)
 
 

@@ -19,9 +19,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from softmap_edge import __version__, _core
-from softmap_edge.coverage import Coverage
+from softmap_edge.coverage import Coverage, apart, said_apart
 from softmap_edge.diagnosis.base_motion import kept_places
 from softmap_edge.errors import RunError, SoftmapError
+from softmap_edge.flat import plane_of
 from softmap_edge.folds import folds
 from softmap_edge.home_command import home_command
 from softmap_edge.learned_in import LearnedIn
@@ -47,6 +48,7 @@ USELESS = 0.8  # share of that straying from which a held-out error says that co
 DEPENDENT = 0.01  # of the largest singular value of the commands: a smaller direction does not move
 ROUNDED = 0.02  # weights below this in such a direction are encoders' rounding
 TURNED_DEG = 10.0  # between orientations, from which the weight of the robot bends it differently
+GAP_S = 2.0  # s next to a block that predict nothing in it
 POOR = 0.4  # of the same: a rod that knows its commands leaves a tenth
 
 
@@ -98,7 +100,7 @@ def learn(
     runs: Run | Sequence[Run],
     input: Source | None = None,
     blocks: int = 5,
-    gap_s: float = 2.0,
+    gap_s: float = GAP_S,
     hold_out: Sequence[tuple[float, float]] = (),
     *,
     base: ArrayLike | None = None,
@@ -157,7 +159,7 @@ def _learned(seen: Seen, fitted: Fitted, made_from: Mapping[str, Any]) -> Learne
     tested = residuals[np.isfinite(residuals).all(axis=(1, 2))]
     per_fold = [rms(residuals[test]) for _, test in fitted.parts]
     per_marker = [rms(tested[:, k]) for k in range(tested.shape[1])]
-    notes = (*_notes(seen, fitted, rms(tested)), *memory.notes)
+    notes = (*_notes(seen, fitted, rms(tested), float(made_from["gap_s"])), *memory.notes)
     more: dict[str, Any] = {
         "per_fold_mm": [round(error, 4) for error in per_fold],
         "per_marker_mm": [round(error, 4) for error in per_marker],
@@ -188,13 +190,14 @@ def _learned(seen: Seen, fitted: Fitted, made_from: Mapping[str, Any]) -> Learne
     )
 
 
-def _notes(seen: Seen, fitted: Fitted, error: float) -> tuple[str, ...]:
+def _notes(seen: Seen, fitted: Fitted, error: float, gap_s: float) -> tuple[str, ...]:
     """Return what the user should know before trusting the rod."""
     notes, unit = [], seen.unit
     commands, stray = seen.drive.commands, seen.stray
     for c in np.flatnonzero(np.ptp(commands, axis=0) == 0):
         notes.append(f"command {c + 1} stays at {commands[0, c]:g} {unit}: the rod does not know what it does")
     notes += [*_dependent(commands, unit), *_turned(seen.runs), *_from_home(commands, unit)]
+    notes += [*_apart(commands), *_flat(seen.runs), *_short(seen, fitted, gap_s)]
     if error > USELESS * stray:
         notes.append(
             f"the held-out error of {error:.2f} mm RMS is hardly below the {stray:.2f} mm RMS of a constant "
@@ -229,6 +232,41 @@ def _turned(runs: Sequence[Run]) -> list[str]:
     return [
         f"the runs were recorded in orientations {angle:.0f} degrees apart, and a learned model has one shape for each "
         "command: its weight may look like memory; learn from one orientation, or describe the robot in finger.toml"
+    ]
+
+
+def _apart(commands: Floats) -> list[str]:
+    """Return a sentence if channels were moved one at a time: the rod does not know what they do together."""
+    if _dependent(commands, ""):
+        return []  # reported as such
+    pairs = apart(commands)
+    if not pairs:
+        return []
+    return [
+        f"commands {said_apart([(i + 1, j + 1) for i, j in pairs])} are never far from home at once: what they do "
+        "together is extrapolated (by leverage), and `softmap compare` reports such frames; record them together too"
+    ]
+
+
+def _flat(runs: Sequence[Run]) -> list[str]:
+    """Return a sentence if the markers of all runs have no third coordinate."""
+    planes = [plane_of(run) for run in runs]
+    return [f"{planes[0]}; no effect across it can be identified"] if planes and all(planes) else []
+
+
+def _short(seen: Seen, fitted: Fitted, asked: float) -> list[str]:
+    """Return a sentence if blocks are shorter than the gap next to them, which had to be shortened or left out."""
+    counts = [len(train) for train, _ in fitted.parts]
+    if seen.timeless or not counts:
+        return []
+    gap = float(fitted.made_from.get("gap_s", asked))
+    if gap >= asked and min(counts) >= len(seen.t) // 4:
+        return []
+    block = seen.seconds / max(len(counts), 1)
+    left = f"the gap is {gap:.2g} s" if gap < asked else f"{min(counts)} of {len(seen.t)} frames are left to learn from"
+    return [
+        f"blocks of {block:.2g} s are short for the gap of {asked:g} s that separates held-out frames from the others: "
+        f"{left}, and the held-out error is less certain; record for longer, or in longer blocks"
     ]
 
 
