@@ -23,6 +23,7 @@ pub mod loads;
 pub mod modes;
 pub mod network;
 pub mod predict;
+pub mod projected;
 #[cfg(feature = "python")]
 mod python;
 pub mod rod;

@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from softmap_edge.rod.learn import learn_model
     from softmap_edge.rod.robot import Robot
     from softmap_edge.run import Run
+    from softmap_edge.run_join import join_runs
     from softmap_edge.servo.bench import open_robot
     from softmap_edge.solid.build import build_model
     from softmap_edge.solid.finger import Finger
@@ -55,6 +56,7 @@ __all__ = [
     "forget_effect",
     "guess_mapping",
     "import_logs",
+    "join_runs",
     "learn_model",
     "learn_residual",
     "load_bundle",
@@ -90,6 +92,7 @@ _HOMES = {
     "rod.robot": ["Robot"],
     "rod.learn": ["learn_model"],
     "run": ["Run"],
+    "run_join": ["join_runs"],
     "servo.bench": ["open_robot"],
     "solid.simulator": ["Simulator"],
 }

@@ -2,30 +2,34 @@
 
 from __future__ import annotations
 
-import argparse
 import importlib
 import os
 import re
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from importlib.metadata import entry_points
 from typing import TextIO, cast
 
 from softmap_edge import SoftmapError, __version__
 from softmap_edge.commands import ELSEWHERE, VERBS, Verb
 from softmap_edge.commands.incomplete import telling
+from softmap_edge.commands.parser import Parser
+from softmap_edge.commands.pipe import outliving
+from softmap_edge.errors import no_name
 from softmap_edge.printable import PrintableStream, one_line
 
 DONE, FAULT, WRONG_USE = 0, 1, 2
 NEGATIVE = re.compile(r"-[\d.][^:]*,")
+HELP = "help"  # softmap help VERB
 INTERRUPTED = 130  # as a shell reports Ctrl-C
 
 
 def main(argv: list[str] | None = None) -> int:
     """Run one verb; return 0 when done, 1 for a fault or a worse error, 2 for wrong use, 130 when interrupted."""
     argv = sys.argv[1:] if argv is None else argv
-    with _printable():
+    live = "--live" in argv  # it ends with its reader
+    with nullcontext() if live else outliving(), _printable():
         return _main(argv)
 
 
@@ -41,20 +45,23 @@ def _printable() -> Iterator[None]:
 
 
 def _main(argv: list[str]) -> int:
+    """Find the verb and run it."""
     # Small factorisations are ten times slower with BLAS threads; read when numpy is first loaded.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    verbs = {verb.name: verb for verb in [*VERBS, *_plugged_in()]}
+    verbs = {verb.name: verb for verb in verbs_here()}
     if not argv or argv[0] in ("-h", "--help"):
         print(_overview(list(verbs.values())))
         return DONE if argv else WRONG_USE
     if argv[0] == "--version":
         print(f"softmap {__version__}")
         return DONE
+    if argv[0] == HELP:  # `softmap help servo scan` is `softmap servo scan --help`
+        return _main([*[word for word in argv[1:] if not word.startswith("-")], "--help"])
     if argv[0] not in verbs:
         if argv[0] in ELSEWHERE:
             print(f"softmap: '{argv[0]}' is in another package: {ELSEWHERE[argv[0]]}", file=sys.stderr)
         else:
-            print(one_line(f"softmap: no verb '{argv[0]}'; there are {', '.join(verbs)}"), file=sys.stderr)
+            print(one_line(f"softmap: {no_name('command', argv[0], [*verbs, HELP])}"), file=sys.stderr)
         return WRONG_USE
     try:
         return _run(verbs[argv[0]], argv[1:])
@@ -63,12 +70,24 @@ def _main(argv: list[str]) -> int:
         return INTERRUPTED
 
 
+def parser_of(verb: Verb) -> Parser:
+    """Return the argument parser of a verb."""
+    module = importlib.import_module(verb.module)
+    parser = Parser(prog=f"softmap {verb.name}", description=verb.help)
+    getattr(module, f"{verb.name.replace('-', '_')}_arguments")(parser)
+    parser.add_argument("--json", action="store_true", help="print one JSON document instead of text")
+    return parser
+
+
+def verbs_here() -> list[Verb]:
+    """Return the verbs of this installation."""
+    return [*VERBS, *_plugged_in()]
+
+
 def _run(verb: Verb, argv: list[str]) -> int:
     module = importlib.import_module(verb.module)
     function = verb.name.replace("-", "_") + ("_" if verb.name == "import" else "")
-    parser = argparse.ArgumentParser(prog=f"softmap {verb.name}", description=verb.help)
-    getattr(module, f"{function.rstrip('_')}_arguments")(parser)
-    parser.add_argument("--json", action="store_true", help="print one JSON document instead of text")
+    parser = parser_of(verb)
     # A command such as -8,3 is no option; argparse leaves alone what holds a space.
     argv = [f" {word}" if NEGATIVE.match(word) else word for word in argv]
     try:
@@ -79,9 +98,9 @@ def _run(verb: Verb, argv: list[str]) -> int:
         with telling(verb.name) as incomplete:
             code = int(getattr(module, function)(args))
         if sys.stdout is not None:  # closed by whoever started it
-            sys.stdout.flush()  # a closed pipe is told here, not when the interpreter ends
+            sys.stdout.flush()  # a closed pipe is noticed here, not when the interpreter ends
         return code or (FAULT if incomplete else DONE)
-    except BrokenPipeError:  # the reader, `head` perhaps, has seen enough
+    except BrokenPipeError:  # the reader of something live has seen enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return DONE
     except SoftmapError as error:
@@ -108,7 +127,7 @@ def _plugged_in() -> list[Verb]:
 
 
 def _overview(verbs: list[Verb]) -> str:
-    lines = ["usage: softmap VERB [options]   (softmap VERB --help)", ""]
+    lines = ["usage: softmap VERB [options]   (softmap help VERB)", ""]
     for group in dict.fromkeys(verb.group for verb in verbs):
         lines.append(f"{group}:")
         lines += [f"  {verb.name:<10} {verb.help}" for verb in verbs if verb.group == group]

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +26,8 @@ from softmap_edge.rod.regression import RIDGE, SQUARES, Basis
 Floats = NDArray[np.float64]
 
 EPSILON = 1e-5  # of a feature's mean square: 1 % of the range along a direction that never moved counts as 10
+FAR = 0.15  # of the range from its ends: where two channels are looked at together
+MOST_PAIRS = 4  # that a sentence names
 LARGER = 1.5  # times the largest leverage: a single channel reaches it 10 % of its half range beyond
 
 
@@ -87,6 +90,37 @@ class Coverage:
                 "0; learn the bundle again"
             )
         return cls(**values, basis=basis)
+
+
+def apart(commands: Floats) -> list[tuple[int, int]]:
+    """Return the pairs of channels that were moved, but never far enough together.
+
+    Judged by the leverage of [1, u, v, u·v] at the four corners of their ranges (`FAR` inside): a circle covers them, a
+    cross does not.
+
+    Args:
+        commands: of a run, shape (n, C); channels that never move are left out.
+    """
+    middle, half = SQUARES.span(commands)
+    q = (commands - middle) / half
+    moving = np.flatnonzero(np.ptp(commands, axis=0) > 0)
+    return [(int(i), int(j)) for i, j in combinations(moving, 2) if _never_together(q[:, i], q[:, j])]
+
+
+def _never_together(u: Floats, v: Floats) -> bool:
+    """Return whether all four corners of two channels (n,), within −1 … 1, lie outside what was moved."""
+    corners = (1.0 - 2.0 * FAR) * np.array([(1.0, 1.0), (1.0, -1.0), (-1.0, 1.0), (-1.0, -1.0)])
+    moved, asked = (np.stack([np.ones(len(x)), x, y, x * y], axis=1) for x, y in ((u, v), corners.T))
+    strength, directions = np.linalg.eigh(moved.T @ moved / len(moved))
+    root = directions / np.sqrt(np.maximum(strength, 0.0) + EPSILON)
+    most = ((moved @ root) ** 2).sum(axis=1).max()
+    return bool((((asked @ root) ** 2).sum(axis=1) > LARGER * most).all())
+
+
+def said_apart(pairs: list[tuple[int, int]]) -> str:
+    """Return pairs of channels as a sentence has them."""
+    named = ", ".join(f"{i} and {j}" for i, j in pairs[:MOST_PAIRS])
+    return named + (f" and {len(pairs) - MOST_PAIRS} more pairs" if len(pairs) > MOST_PAIRS else "")
 
 
 def _features(q: Floats, basis: Basis) -> Floats:

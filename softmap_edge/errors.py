@@ -113,14 +113,34 @@ class CoreError(SoftmapError, ValueError):
     """The compiled core was asked for something impossible."""
 
 
-def no_effect(name: str, known: Iterable[str]) -> str:
-    """Return the line that refuses an effect which is not among the `known`, with the nearest of them."""
+def no_name(what: str, name: str, known: Iterable[str], most: int | None = None) -> str:
+    """Return the line that refuses a name which is not among the `known`, with the nearest of them.
+
+    Args:
+        what: kind of the name, such as "effect".
+        name: as it was given.
+        known: the names that exist.
+        most: how many of them are listed; None for all.
+    """
+    names = list(known)
+    near = next(iter(nearest(name, names)), None)
+    listed = ", ".join(names[:most]) + (f", … ({len(names)} in all)" if most is not None and len(names) > most else "")
+    hint = f"; did you mean '{near}'?" if near else ""
+    return f"no {what} '{name:.60}'; there are {listed or 'none'}{hint}"
+
+
+def nearest(name: str, known: Iterable[str], most: int = 1) -> list[str]:
+    """Return the known names that are spelt most like `name`, the nearest first; none if none is near."""
     from difflib import get_close_matches
 
-    names = list(known)
-    near = get_close_matches(name, names, 1)
-    hint = f", perhaps {near[0]}" if near else ", a file is given by an --effects of its own" if ".py" in name else ""
-    return f"no effect '{name}'{hint}; there are {', '.join(names)}"
+    names = {one.lower(): one for one in known}
+    return [names[one] for one in get_close_matches(name.lower()[:60], names, most)]
+
+
+def no_effect(name: str, known: Iterable[str]) -> str:
+    """Return the line that refuses an effect which is not among the `known`, with the nearest of them."""
+    line = no_name("effect", name, known)
+    return f"{line}; a file is given by an --effects of its own" if ".py" in name else line
 
 
 def brief(fault: BaseException) -> str:

@@ -82,6 +82,18 @@ def run_folds(t_seen: Floats, labels: NDArray[Any] | None = None) -> Folds:
     return found
 
 
+def without_gap(t_seen: Floats, labels: NDArray[Any] | None = None) -> int:
+    """Return how many folds of a diagnosis have no gap next to them, because blocks are shorter than the gap.
+
+    Args:
+        t_seen: (K,) s. labels: (K,), one for each frame.
+    """
+    frames = len(t_seen)
+    if frames < LEAST_FRAMES:
+        return 0
+    return sum(len(train) + len(test) == frames for train, test in run_folds(t_seen, labels))
+
+
 def labelled(labels: NDArray[Any] | None) -> bool:
     """Whether frames have labels enough for a diagnosis to hold them out whole."""
     if labels is None:

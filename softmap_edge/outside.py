@@ -142,7 +142,18 @@ def check_commands(model: Model, run: Run, u: Floats) -> None:
             f"the run has {u.shape[1]} commands a sample, this model of '{model.robot}' takes {model.channels}; "
             "it is a run of another robot, or the mapping misses columns"
         )
-    if u.shape[1] and {run.command_unit, model.command_unit} == {"mm", "N"}:
+    units = {run.command_unit, model.command_unit}
+    if u.shape[1] and len(units) > 1 and "ticks" in units:
+        way = (
+            "give the run in ticks as it was recorded"
+            if model.command_unit == "ticks"
+            else "calibrate the model (`softmap calibrate RUN --bundle DIR --out DIR2`) and give that bundle"
+        )
+        raise RunError(
+            f"the run's commands are in {run.command_unit}, this model of '{model.robot}' takes {model.command_unit}, "
+            f"and nothing converts them; {way}, or `softmap learn` a model from runs in {run.command_unit}"
+        )
+    if u.shape[1] and units == {"mm", "N"}:
         raise RunError(
             f"the run's commands are in {run.command_unit}, this model of '{model.robot}' takes "
             f"{model.command_unit}; a length is no tension: give the run's own unit or another model"

@@ -34,8 +34,9 @@ BASE_MARKERS = "base_markers"  # the field in which an import keeps markers (K, 
 ROLL_SEEN = "roll_seen"  # a field: whether a run shows what the body does about its own axis
 SPOOL_RADIUS = "spool_radius_mm"  # the field in which an import keeps the radius of the spools of its mapping
 NOT_SEEN = "not_seen"  # the field that says that places which stand for "not seen" were looked for, or are kept
+PIECES = ("piece_origin", "piece_row", "piece_frame", "piece_shift_s")  # fields of a run that was cut or joined
 # Fields of `extra` that our own verbs write.
-OURS = {BASE_MARKERS, SPOOL_RADIUS, ROLL_SEEN, NOT_SEEN, PLANE, "made_by", "made_from", "marker_labels"}
+OURS = {BASE_MARKERS, SPOOL_RADIUS, ROLL_SEEN, NOT_SEEN, PLANE, "made_by", "made_from", "marker_labels", *PIECES}
 
 
 def _load(path: str | os.PathLike[str], limit: int = MAX_BYTES) -> Run:
@@ -283,8 +284,9 @@ class Run:
             return self.present
         if self.command is None:
             raise RunError(
-                "command: the run holds ticks only, and the model has no calibration; `softmap calibrate RUN --bundle "
-                "DIR --out DIR2` finds one from a run with ticks and shapes, then give --bundle DIR2"
+                "command: the run holds ticks, and the model takes another unit without a calibration; `softmap learn "
+                "RUN --out DIR` makes a model in ticks from a run with markers, `softmap calibrate RUN --bundle DIR "
+                "--out DIR2` calibrates a model of this robot; then give --bundle DIR or DIR2"
             )
         return self.command
 
@@ -358,6 +360,28 @@ class Run:
         if self.gravity is not None and self.gravity.ndim == 1:
             del cut["gravity"]
         return dataclasses.replace(part, **cut)
+
+    def cut(
+        self,
+        start: float | None = None,
+        end: float | None = None,
+        *,
+        block: str | int | None = None,
+        lead_s: float = 0.0,
+    ) -> Run:
+        """Return a piece of the run: a span of time, or a block (`run_cut.cut`).
+
+        Args:
+            start, end: s; frames with start <= time < end. None is the begin or the end of the run.
+            block: a label, in place of a time.
+            lead_s: s of commands that are kept before the first frame, so that memory is still right.
+
+        Raises:
+            RunError: nothing lies within, or there is no such block.
+        """
+        from softmap_edge.run_cut import cut
+
+        return cut(self, start, end, block=block, lead_s=lead_s)
 
     def __repr__(self) -> str:
         seen = next((name for name in ("vertices", "markers", "points") if getattr(self, name) is not None), "nothing")

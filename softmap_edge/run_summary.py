@@ -219,7 +219,10 @@ def _missing(run: Run, document: dict[str, Any]) -> list[str]:
     if run.frames and document["seen"] is None:
         gaps.append("points: there are times of frames but no vertices, markers or points")
     if run.command is None and run.ticks is not None:
-        gaps.append("command: only ticks are given; a bundle of `softmap calibrate` turns them into mm")
+        gaps.append(
+            "command: only ticks are given; `softmap learn` makes a model in ticks, and for a model in mm a bundle of "
+            "`softmap calibrate` converts them"
+        )
     if run.gravity is None and run.output is None:
         gaps.append("gravity: the orientation of the robot is taken to be that of its model")
     if run.markers is not None and run.marker_rest is None and run.output is None:

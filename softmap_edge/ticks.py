@@ -24,6 +24,7 @@ Floats = NDArray[np.float64]
 
 SCHEMA = "softmap.calibration/1"
 ERRORS = ("command", "shape_mm", "matched_shape_mm")
+TICKS = "ticks"  # the unit of commands that are ticks
 LARGEST = 1e7  # ticks, mm: beyond any servo, as for a run
 MOST_SERVOS = 64
 TURN = 4096  # ticks of a turn of the horn
@@ -216,7 +217,8 @@ def converted(model: Any, run: Run) -> Run:
     """
     calibration: Calibration | None = getattr(model, "calibration", None)
     if calibration is None:
-        return commanded_in_ticks(run) if getattr(model, "command_unit", "mm") == "ticks" else run
+        return commanded_in_ticks(run) if getattr(model, "command_unit", "mm") == TICKS else run
+    run = held_in_ticks(run)
     encoded = run.present_ticks is not None and run.present is None
     if not encoded and run.ticks is None:
         return run
@@ -240,7 +242,17 @@ def commanded_in_ticks(run: Run) -> Run:
         return run
     encoded = run.present_ticks is not None and run.present is None
     present = np.asarray(run.present_ticks, float) if encoded else run.present
-    return _driven(run, Run(t=run.t, command=np.asarray(run.ticks, float), present=present, command_unit="ticks"))
+    return _driven(run, Run(t=run.t, command=np.asarray(run.ticks, float), present=present, command_unit=TICKS))
+
+
+def held_in_ticks(run: Run) -> Run:
+    """Return a run whose commands are in the unit ticks as one that holds `ticks`, for what converts or calibrates."""
+    if run.command is None or run.command_unit != TICKS:
+        return run
+    goal = np.rint(run.command).astype(np.int64)
+    encoded = run.present is not None and run.present_ticks is None
+    present = np.rint(run.present).astype(np.int64) if encoded and run.present is not None else run.present_ticks
+    return _driven(run, Run(t=run.t, ticks=goal, present_ticks=present))
 
 
 def _driven(run: Run, drive: Run) -> Run:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from softmap_edge.errors import RunError
+from softmap_edge.errors import RunError, no_name
 
 Array = NDArray[np.float64]
 
@@ -83,7 +83,7 @@ class TomlTable:
         """Raise RunError if a key was never asked for."""
         unknown = [key for key in self.values if key not in self.asked]
         if unknown:
-            raise RunError(f"{self.where}: no key '{unknown[0][:60]}'; there are {', '.join(self.asked)}")
+            raise RunError(f"{self.where}: {no_name('key', unknown[0], self.asked)}")
 
 
 def kind(value: Any) -> str:

@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge import _core
-from softmap_edge.errors import SoftmapError
+from softmap_edge.errors import SoftmapError, no_name
 from softmap_edge.features import SECTIONS, sections_of
 from softmap_edge.protocol import Protocol, standard_protocol
 from softmap_edge.run import Run
@@ -184,7 +184,7 @@ def check_hidden(names: Sequence[str], seed: int) -> None:
     """Raise SoftmapError where `hide` cannot hide `names`: before anything is solved."""
     unknown = [name for name in names if name not in {**NAMED, **LAWS}]
     if unknown:
-        raise SoftmapError(f"no hidden law '{unknown[0]}'; there are {', '.join([*LAWS, *NAMED])}")
+        raise SoftmapError(no_name("hidden law", unknown[0], [*LAWS, *NAMED]))
     if len(set(names)) != len(names):
         raise SoftmapError(f"each effect can be hidden once, got {', '.join(names)}")
     if seed < 0:

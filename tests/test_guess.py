@@ -188,8 +188,10 @@ def test_ticks_stay_ticks(tmp_path):
     path = written(
         tmp_path, bench_log(["t", "goal_1", "goal_2", "present_1", "present_2", *XYZ], t, np.hstack([u, u]), points)
     )
-    run = imported(tmp_path, guess_mapping([path]), [path]).run
-    assert np.array_equal(run.ticks, u) and np.array_equal(run.present_ticks, u) and run.command is None
+    found = guess_mapping([path])
+    run = imported(tmp_path, found, [path]).run
+    assert run.command_unit == "ticks" and np.array_equal(run.command, u) and np.array_equal(run.present, u)
+    assert told(found.unknown, "home: the ticks at which the robot rests", "offset = [-")
 
 
 def test_semicolons_labels_current_and_doubled_stamps(tmp_path):

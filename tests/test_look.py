@@ -62,7 +62,7 @@ def test_effects_lists_the_registry_and_shows_one_in_full(capsys):
 
 def test_an_effect_that_is_not_there_is_told_with_the_nearest(capsys):
     for name, hint in (
-        ("backlsh", ", perhaps backlash;"),
+        ("backlsh", "; did you mean 'backlash'?"),
         ("mine.py,gain", "an --effects of its own"),
         ("zzz", "'zzz'; there are"),
     ):

@@ -39,6 +39,12 @@ def copied(tracked, tmp_path):
     return tmp_path / tracked.name
 
 
+def test_a_model_in_ticks_gets_the_ticks_of_a_recording_and_not_mm(tracked):
+    ticks = open_run(tracked, replace(MODEL, command_unit="ticks"))
+    np.testing.assert_array_equal(ticks.ticks, read_recording(tracked).run().ticks)
+    assert ticks.command is None and open_run(tracked, MODEL).command_unit == "mm"
+
+
 def test_what_was_driven_and_seen_is_one_run_on_one_clock(tracked):
     run, told = open_run(tracked, CALIBRATED), read_recording(tracked)
     driven = told.run()

@@ -1,7 +1,9 @@
 //! Binding of every shape: evaluation and slopes of a batch of commands, outside the interpreter's lock.
 
+use super::arrays::floats;
 use crate::Error;
 use crate::network::COLUMNS;
+use crate::projected::Projected;
 use crate::room::zeros;
 use crate::shape::{Shape, Sum, Work};
 use numpy::{
@@ -100,6 +102,20 @@ impl PyShape {
             .with_slopes(&u, &mut values, &mut slopes, &mut work);
         let slopes = slopes.into_pyarray(py).reshape([size, channels])?;
         Ok((values.into_pyarray(py), slopes))
+    }
+
+    /// The same shape seen through `weights` (M, M2) plus `offset` (M2,); tables and networks fold the map in.
+    fn project(
+        &self,
+        py: Python<'_>,
+        weights: &Bound<'_, PyAny>,
+        offset: &Bound<'_, PyAny>,
+    ) -> PyResult<Py<PyShape>> {
+        let offset = floats("offset", offset, &[("M2", None)])?.data;
+        let axes = [("M", Some(self.inner.size())), ("M2", Some(offset.len()))];
+        let weights = floats("weights", weights, &axes)?.data;
+        let inner = Arc::new(Projected::new(self.inner.clone(), weights, offset)?);
+        Py::new(py, PyShape { inner })
     }
 
     /// Slopes (n, M, C) at commands `u` (n, C).

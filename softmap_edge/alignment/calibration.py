@@ -34,7 +34,7 @@ from softmap_edge.leaning import gravity_seen, leans
 from softmap_edge.outside import elsewhere, unlike
 from softmap_edge.registration.register import register
 from softmap_edge.run import Run, known
-from softmap_edge.ticks import LARGEST, Calibration
+from softmap_edge.ticks import LARGEST, Calibration, held_in_ticks
 
 if TYPE_CHECKING:
     from softmap_edge.model import Model
@@ -76,6 +76,7 @@ def calibrate(
     Raises:
         CalibrationError: no ticks, too few or no independent held commands, shapes that are not this model's.
     """
+    recorded, run = run, held_in_ticks(run)
     found, there = _calibrated(model, run, home, window, refine), run
     for _ in range(BASE_ROUNDS if refine else 0):  # a base that stands off bends the map, which then hides some of it
         there, off = in_base(there, found.model)
@@ -83,13 +84,18 @@ def calibrate(
             break
         found = _calibrated(model, there, home, window, refine)
     if there is run or there.frame is None:
-        return found
+        return _named(found, recorded)
     before = Pose(np.eye(3), np.zeros(3)) if run.frame is None else Pose(run.frame[:, :3], run.frame[:, 3])
     told = base_stood_off(Pose(there.frame[:, :3], there.frame[:, 3]).after(before.inverse()))
+    return _named(replace(found, warnings=[told, *found.warnings]), recorded)
+
+
+def _named(found: Calibrated, run: Run) -> Calibrated:
+    """Return a calibration that names the run by its hash as it was recorded."""
     calibration = replace(found.calibration, run=run.hash())
     made: dict[str, Any] = {**found.model.made_from, "calibration": run.hash()}
     whole = replace(found.model, calibration=calibration, made_from=made)
-    return replace(found, model=whole, calibration=calibration, warnings=[told, *found.warnings])
+    return replace(found, model=whole, calibration=calibration)
 
 
 def _calibrated(
@@ -144,7 +150,10 @@ def _calibrated(
 
 def _check(model: Model, run: Run) -> None:
     if run.ticks is None and run.present_ticks is None:
-        raise CalibrationError("the run has no ticks; import the columns of the servos as `ticks` or `present_ticks`")
+        raise CalibrationError(
+            "the run has no ticks; import the columns of the servos as `ticks` or `present_ticks`, or as `command` "
+            'with command_unit = "ticks"'
+        )
     if run.channels != model.channels or not model.channels:
         raise CalibrationError(
             f"the run has {run.channels} servos, the model of '{model.robot}' takes {model.channels} commands; one "

@@ -27,6 +27,7 @@ VERBS: list[Verb] = [
     Verb("register", "set up", "point clouds → vertices of the template", "softmap_edge.commands.register"),
     Verb("calibrate", "set up", "servo ticks → commands of a model", "softmap_edge.commands.calibrate"),
     Verb("servo", "set up", "find, read, set up, home, release or emulate servos", "softmap_edge.commands.servo"),
+    Verb("run", "set up", "cut runs, join them, show what they hold", "softmap_edge.commands.run"),
     Verb("doctor", "set up", "is everything here that a robot needs", "softmap_edge.commands.doctor"),
     Verb("check", "look", "is this run or bundle sound", "softmap_edge.commands.runs"),
     Verb("show", "look", "what is in a run or bundle", "softmap_edge.commands.runs"),

@@ -25,7 +25,9 @@ from softmap_edge.run import Run
 
 def predict_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `predict`."""
-    parser.add_argument("input", help="a run (.npz or .mcap), or one command as comma-separated mm: 8,-3")
+    parser.add_argument(
+        "input", help="a run (.npz or .mcap), or one command in the unit of the model, comma-separated: 8,-3"
+    )
     parser.add_argument("--bundle", help="bundle folder (default: the built-in finger)")
     effects_argument(parser)
     parser.add_argument("--out", help="write the predicted points (K, N, 3) mm to this .npz")
@@ -126,5 +128,8 @@ def _held(text: str, model: Model) -> Run:
     except ValueError:
         raise SoftmapError(f"'{text}' is neither a run (.npz, .mcap) nor a command such as 8,-3") from None
     if len(numbers) != model.channels or not np.all(np.isfinite(numbers)):
-        raise SoftmapError(f"'{text}': {len(numbers)} numbers, this model takes {model.channels} finite commands in mm")
+        raise SoftmapError(
+            f"'{text}': {len(numbers)} numbers, this model takes {model.channels} finite commands in "
+            f"{model.command_unit}"
+        )
     return Run(t=np.zeros(1), command=np.array([numbers]), t_seen=np.zeros(1), command_unit=model.command_unit)

@@ -120,6 +120,7 @@ def learn(args: argparse.Namespace) -> int:
         "kind": "rod",
         "runs": len(runs),
         "channels": model.channels,
+        "command_unit": model.command_unit,
         "markers": len(model.rest),
         "held_out_error_mm": round(model.vertex_error_mm, 4),
         **({} if output is None else {"output": output.to_dict()}),
@@ -130,7 +131,7 @@ def learn(args: argparse.Namespace) -> int:
     }
     seen = f"{len(model.rest)} markers" if output is None else f"outputs {', '.join(output.names)}"
     lines = [
-        f"{args.out}: rod model of '{model.robot}', {model.channels} channels, {seen}, "
+        f"{args.out}: rod model of '{model.robot}', {model.channels} channels in {model.command_unit}, {seen}, "
         f"own blocked cross-validation error {model.vertex_error_mm:.2f} mm RMS (held out)"
     ]
     lines += _memory(learned, args.static)

@@ -20,7 +20,7 @@ from softmap_edge.servo.bench import Bench, read_bench
 from softmap_edge.servo.controller import Controller
 from softmap_edge.servo.emergency_key import EmergencyKey
 from softmap_edge.servo.limits import RATE
-from softmap_edge.ticks import Calibration
+from softmap_edge.ticks import TICKS, Calibration
 
 TICKS_PER_MM = 280.0  # of a spool of 2.33 mm: what an emulated robot has whose bundle holds no calibration
 HOME = 2048.0
@@ -100,7 +100,10 @@ def own_map(model: Model) -> Calibration:
 
 
 def plain_map(model: Model) -> Calibration:
-    """Return the map of an emulated robot whose bundle holds none."""
+    """Return the map of an emulated robot whose bundle holds none; commands in ticks are its servos' own."""
+    if model.command_unit == TICKS:
+        middle = np.rint(np.asarray(model.command_range, float).mean(axis=1))
+        return Calibration.stated(np.eye(model.channels), middle, middle, "the servos' own ticks", unit=TICKS)
     zero = np.zeros(model.channels)
     scale = np.eye(model.channels) / TICKS_PER_MM
     return Calibration.stated(scale, zero, zero + HOME, "an emulated robot's own map")

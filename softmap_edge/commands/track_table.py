@@ -48,15 +48,17 @@ def table(args: argparse.Namespace, model: Model) -> int:
 def workspace(args: argparse.Namespace, kinematics: Kinematics) -> int:
     """Say what the tip can reach, whether a point is in it, and draw it."""
     target = None if args.reach is None else np.asarray(args.reach, float)
-    rest = np.asarray(kinematics.tip.evaluate(np.zeros((1, kinematics.model.channels))))[0]
+    rest = np.asarray(kinematics.tip.evaluate(kinematics.home[None]))[0]
     if target is not None and not (np.abs(target) <= WIDEST).all():
         raise SoftmapError(f"--reach {target.tolist()}; numbers of up to {WIDEST:g} mm are wanted")
     places = kinematics.reach.samples[0]
     solved = None if target is None else kinematics.solve(target[None])
+    unit = kinematics.model.command_unit
     document: dict[str, Any] = {
         "schema": "softmap.workspace/1",
         "axes": kinematics.axes,
-        "commands_mm": kinematics.acting_bounds.tolist(),
+        "command_unit": unit,
+        f"commands_{unit}": kinematics.acting_bounds.tolist(),
         "rest_mm": rest.tolist(),
         "range_mm": {axis: [float(v.min()), float(v.max())] for axis, v in zip(AXES, places.T)},
         "target": None,
@@ -68,7 +70,7 @@ def workspace(args: argparse.Namespace, kinematics: Kinematics) -> int:
             "reached": bool(kinematics.reaches(target[None])[0]),
             "distance_mm": float(solved.distance[0]),
             "nearest_mm": solved.tip[0].tolist(),
-            "acting_mm": solved.acting[0].tolist(),
+            f"acting_{unit}": solved.acting[0].tolist(),
         }
     if args.picture:
         try:
@@ -89,7 +91,8 @@ def _text(told: dict[str, Any]) -> str:
     if target := told["target"]:
         where = f"{point(target['target_mm'])} mm, along {told['axes']}"
         if target["reached"]:
-            lines.append(f"{where}: within reach, where {point(target['acting_mm'])} mm acts")
+            unit = told["command_unit"]
+            lines.append(f"{where}: within reach, where {point(target[f'acting_{unit}'])} {unit} acts")
         else:
             lines.append(
                 f"{where}: out of reach by {target['distance_mm']:.2f} mm; nearest is {point(target['nearest_mm'])} mm"

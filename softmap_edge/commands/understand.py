@@ -13,7 +13,7 @@ from softmap_edge.commands.output import bundle_arguments, check_bundle, check_f
 from softmap_edge.commands.own import effects_argument, load_own, open_model
 from softmap_edge.commands.progress import Bar
 from softmap_edge.commands.seeing import camera_arguments
-from softmap_edge.errors import SoftmapError
+from softmap_edge.errors import SoftmapError, no_name
 from softmap_edge.experiment.recorded import open_run
 from softmap_edge.own_effect import check_hashes
 from softmap_edge.whole_file import write_whole
@@ -91,9 +91,6 @@ def diagnose_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--html", metavar="FILE", help="write one self-contained page with pictures")
     parser.add_argument("--out", metavar="FILE", help="write the diagnosis as JSON, for `softmap add --from`")
     parser.add_argument("--since", metavar="FILE", help="an earlier diagnosis: report what was settled since then")
-    parser.add_argument(
-        "--seed", type=int, default=0, help="stored in the document; the method draws nothing at random"
-    )
 
 
 def diagnose(args: argparse.Namespace) -> int:
@@ -116,7 +113,7 @@ def diagnose(args: argparse.Namespace) -> int:
     held_out = args.held_out and open_run(args.held_out, model)
     for run in [*runs, *references]:
         warn_outside("diagnose", model, run)
-    found = find(model, runs, held_out, wanted, args.seed, teller(args), reference=references or None)
+    found = find(model, runs, held_out, wanted, teller(args), reference=references or None)
     if args.out:
         _write_json(args.out, found.to_dict())
     if args.html:  # before anything is printed: a reader may close the pipe
@@ -177,7 +174,7 @@ def remove(args: argparse.Namespace) -> int:
     known = [*model.chain_names, *([] if model.residual is None else [RESIDUAL])]
     for name in names:
         if name not in known:
-            raise SoftmapError(f"the model has no effect '{name}'; it has {', '.join(known) or 'none'}")
+            raise SoftmapError(f"the model has {no_name('effect', name, known)}")
     gone = [name for name in names if name != RESIDUAL]
     if not gone:
         return _write(args, model.with_residual(None), {"removed": names})
@@ -239,9 +236,12 @@ def _refit_finger(args: argparse.Namespace) -> int:
 
 def warn_outside(verb: str, model: Any, run: Any) -> None:
     """Tell on stderr, beside any document, where a run leaves the commands or the frame of the model."""
+    from softmap_edge.flat import plane_of
     from softmap_edge.outside import beyond, elsewhere
 
-    for note in [*beyond(model, run), *elsewhere(model, run)]:
+    plane = plane_of(run)
+    flat = [] if plane is None else [f"{plane}; no effect across it is tested"]
+    for note in [*beyond(model, run), *elsewhere(model, run), *flat]:
         print(f"softmap {verb}: {note}", file=sys.stderr)
 
 

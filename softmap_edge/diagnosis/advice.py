@@ -15,11 +15,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from softmap_edge.coverage import apart, said_apart
 from softmap_edge.diagnosis.collinear import collinear_conditions, tied_channels
 from softmap_edge.diagnosis.conditions import STILL, Conditions, conditions, last_direction, orientations
 from softmap_edge.diagnosis.floor import commanded, noise_of_points
 from softmap_edge.diagnosis.repeats import LONG_DWELL
-from softmap_edge.folds import LEAST_FRAMES
+from softmap_edge.flat import plane_of
+from softmap_edge.folds import GAP, LEAST_FRAMES, without_gap
 from softmap_edge.plane import AXES, unmeasured
 from softmap_edge.run import Run, known
 
@@ -66,7 +68,7 @@ def advice(run: Run, home_visits: int) -> list[Word]:
         ]
     u = commanded(run)
     state = conditions(run, u)
-    words = [_enough(run.frames), _noise(run), _home(home_visits)]
+    words = [_enough(run.frames), *_folds(run), _noise(run), _home(home_visits)]
     words += [] if run.output is not None else [_orientation(run), *_points(run)]  # outputs have no body
     words += _drive(u)
     if words[-1].about != "drive":
@@ -86,6 +88,7 @@ def asked(runs: Sequence[Run], frames: int, replicates: bool) -> list[str]:
     words = [_enough(frames), *_drive(np.concatenate([commanded(run) for run in runs]))]
     if not replicates:
         words.append(_guessed(next((run.sigma for run in runs if run.sigma is not None), None)))
+    words += [word for run in runs for word in _folds(run)]
     leaning = [run for run in runs if run.gravity is None and run.output is None]
     words += [_orientation(run) for run in leaning[:1]]
     poor = [f"these data cannot identify {word.text}; {word.remedy}" for word in words if not word.tells]
@@ -112,6 +115,17 @@ def _enough(frames: int) -> Word:
         text = f"small effects: {frames} frames leave too few for validation"
         return Word("frames", False, text, "record the same for longer, about 360 frames", 4.0)
     return Word("frames", True, f"whether an effect helps on what was not fitted: {frames} frames can be held out")
+
+
+def _folds(run: Run) -> Iterator[Word]:
+    """Say so where the blocks of a run are shorter than the gap that separates held-out frames from the others."""
+    count = 0 if run.timeless else without_gap(run.t_seen, run.block)
+    if count:
+        text = (
+            f"how far off a model is on frames of its own kind: {count} held-out parts have no gap of {GAP:g} s next "
+            "to them, since blocks are shorter than the gap, and their error is too small"
+        )
+        yield Word("folds", False, text, "record for longer, or label blocks that last 5 s or more", 4.0)
 
 
 def _noise(run: Run) -> Word:
@@ -153,9 +167,12 @@ def _orientation(run: Run) -> Word:
 
 def _points(run: Run) -> Iterator[Word]:
     seen = run.markers
+    if (axis := unmeasured(run)) is None and (plane := plane_of(run)) is not None:
+        remedy = "measure the third coordinate as well, with a second camera; a planar robot does without"
+        yield Word("markers", False, f"any effect across the plane of the robot: {plane}", remedy, None)
     if seen is None or not seen.size:
         return
-    if (axis := unmeasured(run)) is not None:
+    if axis is not None:
         text = f"what happens across the plane of the markers: their {AXES[axis]} is not measured"
         yield Word("plane", False, text, "see the robot from a second side as well, or with a depth camera", None)
     if seen.shape[1] == 1:
@@ -202,6 +219,10 @@ def _channels(u: Floats) -> Iterator[Word]:
         yield Word("channels", False, text, "move each channel alone, the others at rest", float(len(alive)))
     if len(alive) > 1 and not (tied or pairs or len(still)):
         yield Word("channels", True, f"one channel vs. another: all {len(alive)} move independently")
+    if len(alive) > 1 and not (tied or pairs) and (never := apart(u)):
+        text = f"what channels do together: {said_apart(never)} are never far from home at once"
+        remedy = "move them together as well, to the corners of their ranges"
+        yield Word("together", False, text, remedy, float(min(len(never), 4)))
     one_sided = [c for c in alive if u[:, c].min() > -0.05 * u[:, c].max() or u[:, c].max() < -0.05 * u[:, c].min()]
     if one_sided:
         named = ", ".join(map(str, one_sided))

@@ -39,6 +39,7 @@ from softmap_edge.diagnosis.findings import (
 from softmap_edge.diagnosis.fit import Fit
 from softmap_edge.diagnosis.fits import Fits
 from softmap_edge.diagnosis.fitted import parameters, refitted, shift_on
+from softmap_edge.diagnosis.floor import noise_of_runs
 from softmap_edge.diagnosis.masked import Masked
 from softmap_edge.diagnosis.memoryless import repeats_of
 from softmap_edge.diagnosis.motion_at_rest import MotionAtRest
@@ -66,7 +67,6 @@ class Context:
     impossible: Sequence[Untestable] = ()
     own: OwnMisfit | None = None
     masked: Masked | None = None
-    seed: int = 0
     proof: Certified | None = None
 
 
@@ -406,7 +406,6 @@ def _made_from(outcome: Outcome, order: Sequence[str], context: Context, registr
     record = problem.record
     return {
         "softmap": __version__,
-        "seed": context.seed,
         "run": record.whole[0].hash() if len(record.whole) == 1 else [run.hash() for run in record.whole],
         "held_out": None if other is None else other.whole[0].hash(),
         "reference": None if record.replay is None else asdict(record.replay),
@@ -418,6 +417,7 @@ def _made_from(outcome: Outcome, order: Sequence[str], context: Context, registr
         "candidates": outcome.fits.candidates,
         "demoted": list(context.demoted),
         "noise": problem.noise.source,
+        "noise_of_points_mm": noise_of_runs(record.whole),
         "inflation": problem.noise.inflation,
         "modes": len(problem.whitener.form),
         "references": {name: registry[name]["reference"] for name in order},

@@ -67,7 +67,6 @@ def diagnose(
     run: Run | Sequence[Run],
     held_out: Run | None = None,
     effects: Sequence[str] | None = None,
-    seed: int = 0,
     progress: Callable[[str], None] | None = None,
     library: Any = None,
     reference: Run | Sequence[Run] | None = None,
@@ -80,7 +79,6 @@ def diagnose(
             parameters but those of the camera's frame and clock.
         held_out: an independent run of another kind; effects without which the error there is lower are dropped.
         effects: names of the candidates; all of the registry by default.
-        seed: kept in the document; the method itself draws nothing at random.
         progress: hears one line per stage.
         library: where effects come from; the compiled core by default.
         reference: a run of the same commands that stands for the model's own error (paired replay): what acts alike
@@ -118,7 +116,7 @@ def diagnose(
             demoted += more
     own = _own_misfit(record) if record.replay is None else None  # wrong numbers of its own cancel out too
     proof = certified(outcome, fit, withheld(record.t_seen, record.block, record.begins))
-    context = Context(other, demoted, impossible, own, masked(outcome.fits, fit), seed, proof)
+    context = Context(other, demoted, impossible, own, masked(outcome.fits, fit), proof)
     gone = None  # a static map follows the runs that taught it as far as it can
     if not record.remapped:
         gone = stray(record, outcome.state.predicted if outcome.state.beside else fit.predicted)

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from softmap_edge import protocol as moves
 from softmap_edge.diagnosis.conditions import NEAR
-from softmap_edge.errors import SoftmapError
+from softmap_edge.errors import SoftmapError, no_name
 from softmap_edge.protocol import HANGING, LEAN, LIMIT_MINUTES, Limits, Protocol, Tape
 
 if TYPE_CHECKING:
@@ -127,7 +127,7 @@ def chosen(names: Iterable[str]) -> list[Block]:
     found = []
     for name in names:
         if name not in BLOCKS:
-            raise SoftmapError(f"no block '{name}'; there are {', '.join(BLOCKS)}")
+            raise SoftmapError(no_name("block", name, BLOCKS))
         found.append(BLOCKS[name])
     return found
 

@@ -22,6 +22,7 @@ from softmap_edge.experiment.kept import read_kept, seen_file
 from softmap_edge.model import Model
 from softmap_edge.run import Run
 from softmap_edge.servo.recording import Recording, read_recording
+from softmap_edge.ticks import TICKS
 
 RECORDING = ".mcap"
 
@@ -33,8 +34,8 @@ def open_run(path: str | Path, model: Model | None = None) -> Run:
 
     Args:
         path: the file.
-        model: what the run is for. One without a calibration cannot read ticks: it gets mm, by the map that was driven
-            with.
+        model: what the run is for. One in mm without a calibration cannot read ticks: it gets mm, by the map that was
+            driven with.
 
     Raises:
         RunError: neither, damaged where nothing shows, torque was never on, nothing that was seen belongs to it, or it
@@ -82,7 +83,7 @@ def run_of(told: Recording, model: Model | None = None) -> Run:
     """
     beside = seen_file(told.file)
     run = _seen(told, beside) if beside.exists() else told.run()
-    if model is None or model.calibration is not None or run.ticks is None:
+    if model is None or model.calibration is not None or model.command_unit == TICKS or run.ticks is None:
         return run
     known, present = told.calibration, run.present_ticks
     return replace(

@@ -264,11 +264,23 @@ def _drive_units(found: Found) -> None:
         if not sure:
             found.unknown.append(f"the unit of the {kind}: {unit} is only likely")
     unit = answers[0][0]
+    if unit == "ticks":
+        found.unknown.append(_home_in_ticks(found.command[0].rows_of(found.command[1].columns)))
     if unit in ANGLE:
         found.unknown.append(
             f"the radius of the spools: commands stay {unit}; with spool_radius_mm, and without command_unit, they are "
             "mm of tendon, which a simulated finger needs"
         )
+
+
+def _home_in_ticks(rows: Array) -> str:
+    """Say that no log contains home, and how it is declared."""
+    low, high = np.nanmin(rows, axis=0), np.nanmax(rows, axis=0)
+    middle = ", ".join(f"{-m:.0f}" for m in 0.5 * (low + high))
+    return (
+        "home: the ticks at which the robot rests. Effects such as gain, play and slack count from 0, so put home into "
+        f"offset of command, with the sign changed; if home is the middle of each range: offset = [{middle}]"
+    )
 
 
 def _alike(one: str, other: str) -> bool:

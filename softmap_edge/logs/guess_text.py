@@ -41,6 +41,8 @@ def mapping_text(sheets: list[Sheet], files: list[Path], found: Found, frame: li
     unit = found.command[1].unit if found.command is not None else None
     if unit in ANGLE:
         lines.append(f'command_unit = "{unit}"')
+    if unit == "ticks":
+        lines.append('command_unit = "ticks"   # of a model that is learned; `softmap calibrate` takes them as well')
     if any(_since_1970(sheet, *found.times[k]) for k, sheet in enumerate(sheets)):
         lines.append("zero_time = true   # the log counts since 1970")
     for k, sheet in enumerate(sheets):
@@ -102,10 +104,8 @@ def _inside(sheet: Sheet, found: Found) -> list[str]:
         *((r.kind, (s, r)) for s, r in found.others),
     ):
         if pair is not None and pair[0] is sheet:
-            unit = pair[1].unit
-            key = f"present_{unit}".removeprefix("present_" * (kind == "command")) if unit == "ticks" else kind
-            told = f', unit = "{unit}"' if unit and unit != "ticks" else ""
-            lines.append(f"{key} = {{ columns = [{', '.join(_cell(sheet, c) for c in pair[1].columns)}]{told} }}")
+            told = f', unit = "{pair[1].unit}"' if pair[1].unit else ""
+            lines.append(f"{kind} = {{ columns = [{', '.join(_cell(sheet, c) for c in pair[1].columns)}]{told} }}")
     if found.points is not None and found.points[0] is sheet:
         _, triples, unit = found.points
         for kind, places in (("markers", triples), ("base", found.base)):

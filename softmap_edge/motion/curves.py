@@ -16,7 +16,7 @@ from xml.etree import ElementTree
 import numpy as np
 from numpy.typing import NDArray
 
-from softmap_edge.errors import SoftmapError
+from softmap_edge.errors import SoftmapError, no_name
 from softmap_edge.whole_file import MOST_TEXT
 
 Floats = NDArray[np.float64]
@@ -67,7 +67,7 @@ def figure(name: str, amplitude: float) -> Floats:
     elif suffix in (".csv", ".svg"):
         points = _points_of(Path(name), suffix)
     else:
-        raise SoftmapError(f"no figure '{name}'; there are {', '.join(FIGURES)}, and files .csv and .svg")
+        raise SoftmapError(no_name("figure", name, [*FIGURES, "files .csv and .svg"]))
     low, high = points.min(axis=0), points.max(axis=0)
     half = float((high - low).max()) / 2
     if not half > 0:

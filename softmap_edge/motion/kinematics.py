@@ -21,6 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 from softmap_edge import _core
 from softmap_edge.chain_labels import valued
 from softmap_edge.errors import SoftmapError
+from softmap_edge.home_command import home_command
 from softmap_edge.model import Model
 from softmap_edge.predictors import tip
 
@@ -121,11 +122,16 @@ class Kinematics:
             "temperature": None if np.isnan(temperature) else temperature,
         }
 
+    @property
+    def home(self) -> Floats:
+        """The command (C,) at rest, as far as it is within the range that is usable."""
+        return home_command(self.bounds)
+
     @cached_property
     def acting_bounds(self) -> Floats:
         """The range (C, 2) mm of what acts: that of the model, as far as commands reach it one at a time, held for
         long."""
-        home = np.clip(np.zeros(self.model.channels), *self.bounds.T)
+        home = self.home
         ends = []
         for c, side in np.ndindex(self.model.channels, 2):
             command = home.copy()
@@ -181,7 +187,7 @@ class Kinematics:
             acting, unreachable = solved.acting, solved.distance
         else:
             unreachable = self._apart(np.asarray(self.tip.evaluate(acting)), points)
-        rested = np.zeros(self.model.channels) if start is None else np.asarray(start, float)
+        rested = self.home if start is None else np.asarray(start, float)
         self._chain.settle(rested)
         commands, _ = self._chain.path(early(acting, t, *self.delays), t)
         expected = np.asarray(self.tip.evaluate(self.acts(commands, t, rested)))

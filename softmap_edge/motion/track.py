@@ -78,7 +78,7 @@ def course(
     plane = [AXES.index(axis) for axis in kinematics.axes][:2]
     if len(plane) < 2:
         raise SoftmapError(f"axes '{kinematics.axes}': a figure needs two, as xy")
-    rest = np.asarray(kinematics.tip.evaluate(np.zeros((1, kinematics.model.channels))))[0]
+    rest = np.asarray(kinematics.tip.evaluate(kinematics.home[None]))[0]
 
     def placed(points: Floats) -> Floats:
         whole = np.tile(rest, (len(points), 1))
@@ -152,11 +152,11 @@ def track(
     """
     if robot.recording is None or (observe and seen is None):
         raise SoftmapError("tracking needs a robot that records, and a camera where what it sees is fed back")
-    home = np.zeros(kinematics.model.channels)
+    home = kinematics.home
     robot.engage(home)
     say = progress or (lambda what, share: None)
     _play(robot, lambda t: home, SETTLED)
-    _play(robot, lambda t: _probe(t, len(home)), PROBE[1] + SETTLED, partial(say, "measuring servos"))
+    _play(robot, lambda t: home + _probe(t, len(home)), PROBE[1] + SETTLED, partial(say, "measuring servos"))
     told = _meanwhile(robot, home, partial(_response, robot.recording))
     robot.check_recorded()  # what broke off measured nothing
     delay, lag = told or (0.0, 0.0)

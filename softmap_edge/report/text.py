@@ -13,7 +13,7 @@ from typing import Any
 from softmap_edge.diagnosis.document import VERDICTS, Diagnosis
 from softmap_edge.diagnosis.findings import Certificate, read
 from softmap_edge.report.families import LEARNED, family_lines, learned_line
-from softmap_edge.report.in_unit import PLACES, in_unit, unit_of
+from softmap_edge.report.in_unit import PLACES, in_unit, output_of, unit_of
 from softmap_edge.report.numbers import LARGEST, bar, folded, mm, number, percent, tamed
 
 
@@ -45,6 +45,7 @@ def diagnosis_text(document: Mapping[str, Any]) -> str:
             lines += _effect_lines(row, unit)
     lines += _list_lines(LEARNED, document.get("learned_in"), learned_line)
     lines += _ladder_lines(document.get("error") or {})
+    lines += _noise_lines(known["made_from"], unit)
     servos = [servo_row(row) for row in document.get("servo") or []]
     lines += _list_lines("Servos: between command and encoder", servos, ": ".join)
     lines += _list_lines("Alternatives: other explanations of these data", document["alternatives"], _alternative)
@@ -163,6 +164,16 @@ def _ladder_lines(error: Mapping[str, Any]) -> list[str]:
     known = [("noise floor", error.get("noise_floor")), ("model's own held-out error", error.get("model_floor"))]
     told = [f"{name} {mm(value)} {unit} RMS" for name, value in known if number(value) is not None]
     return [*lines, *([f"  {' · '.join(told)}"] if told else [])]
+
+
+def _noise_lines(made_from: Mapping[str, Any], unit: str) -> list[str]:
+    """Return the noise of a point of each run, the number that `check` and `compare` report."""
+    output, values = output_of(made_from), made_from.get("noise_of_points_mm")
+    given = [value for value in values if number(value) is not None] if isinstance(values, list) else []
+    if not given:
+        return []
+    sizes = ", ".join(mm(value if output is None else output.value(value)) for value in given)
+    return folded(f"noise of a point, as `softmap check` and `softmap compare` report it: {sizes} {unit} RMS", 2)
 
 
 def _list_lines(title: str, rows: Any, text: Any) -> list[str]:

@@ -19,11 +19,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from softmap_edge import __version__, _core
-from softmap_edge.coverage import Coverage
+from softmap_edge.coverage import Coverage, apart, said_apart
 from softmap_edge.diagnosis.base_motion import kept_places
 from softmap_edge.diagnosis.lost import without_lost
 from softmap_edge.errors import RunError, SoftmapError
+from softmap_edge.flat import plane_of
 from softmap_edge.folds import folds
+from softmap_edge.home_command import home_command
 from softmap_edge.learned_in import LearnedIn
 from softmap_edge.model import NOMINAL, Model
 from softmap_edge.rod.elastic import ElasticParameters
@@ -47,6 +49,7 @@ USELESS = 0.8  # share of that straying from which a held-out error says that co
 DEPENDENT = 0.01  # of the largest singular value of the commands: a smaller direction does not move
 ROUNDED = 0.02  # weights below this in such a direction are encoders' rounding
 TURNED_DEG = 10.0  # between orientations, from which the weight of the robot bends it differently
+GAP_S = 2.0  # s next to a block that predict nothing in it
 POOR = 0.4  # of the same: a rod that knows its commands leaves a tenth
 
 
@@ -98,7 +101,7 @@ def learn(
     runs: Run | Sequence[Run],
     input: Source | None = None,
     blocks: int = 5,
-    gap_s: float = 2.0,
+    gap_s: float = GAP_S,
     hold_out: Sequence[tuple[float, float]] = (),
     *,
     base: ArrayLike | None = None,
@@ -158,7 +161,7 @@ def _learned(seen: Seen, fitted: Fitted, made_from: Mapping[str, Any], lost: Seq
     tested = residuals[np.isfinite(residuals).all(axis=(1, 2))]
     per_fold = [rms(residuals[test]) for _, test in fitted.parts]
     per_marker = [rms(tested[:, k]) for k in range(tested.shape[1])]
-    notes = (*lost, *_notes(seen, fitted, rms(tested)), *memory.notes)
+    notes = (*lost, *_notes(seen, fitted, rms(tested), float(made_from["gap_s"])), *memory.notes)
     more: dict[str, Any] = {
         "per_fold_mm": [round(error, 4) for error in per_fold],
         "per_marker_mm": [round(error, 4) for error in per_marker],
@@ -189,13 +192,14 @@ def _learned(seen: Seen, fitted: Fitted, made_from: Mapping[str, Any], lost: Seq
     )
 
 
-def _notes(seen: Seen, fitted: Fitted, error: float) -> tuple[str, ...]:
+def _notes(seen: Seen, fitted: Fitted, error: float, gap_s: float) -> tuple[str, ...]:
     """Return what the user should know before trusting the rod."""
     notes, unit = [], seen.unit
     commands, stray = seen.drive.commands, seen.stray
     for c in np.flatnonzero(np.ptp(commands, axis=0) == 0):
         notes.append(f"command {c + 1} stays at {commands[0, c]:g} {unit}: the rod does not know what it does")
-    notes += [*_dependent(commands, unit), *_turned(seen.runs)]
+    notes += [*_dependent(commands, unit), *_turned(seen.runs), *_from_home(commands, unit)]
+    notes += [*_apart(commands), *_flat(seen.runs), *_short(seen, fitted, gap_s)]
     if error > USELESS * stray:
         notes.append(
             f"the held-out error of {error:.2f} mm RMS is hardly below the {stray:.2f} mm RMS of a constant "
@@ -230,6 +234,62 @@ def _turned(runs: Sequence[Run]) -> list[str]:
     return [
         f"the runs were recorded in orientations {angle:.0f} degrees apart, and a learned model has one shape for each "
         "command: its weight may look like memory; learn from one orientation, or describe the robot in finger.toml"
+    ]
+
+
+def _apart(commands: Floats) -> list[str]:
+    """Return a sentence if channels were moved one at a time: the rod does not know what they do together."""
+    if _dependent(commands, ""):
+        return []  # reported as such
+    pairs = apart(commands)
+    if not pairs:
+        return []
+    return [
+        f"commands {said_apart([(i + 1, j + 1) for i, j in pairs])} are never far from home at once: what they do "
+        "together is extrapolated (by leverage), and `softmap compare` reports such frames; record them together too"
+    ]
+
+
+def _flat(runs: Sequence[Run]) -> list[str]:
+    """Return a sentence if the markers of all runs have no third coordinate."""
+    planes = [plane_of(run) for run in runs]
+    return [f"{planes[0]}; no effect across it can be identified"] if planes and all(planes) else []
+
+
+def _short(seen: Seen, fitted: Fitted, asked: float) -> list[str]:
+    """Return a sentence if blocks are shorter than the gap next to them, which had to be shortened or left out."""
+    counts = [len(train) for train, _ in fitted.parts]
+    if seen.timeless or not counts:
+        return []
+    gap = float(fitted.made_from.get("gap_s", asked))
+    if gap >= asked and min(counts) >= len(seen.t) // 4:
+        return []
+    block = seen.seconds / max(len(counts), 1)
+    left = f"the gap is {gap:.2g} s" if gap < asked else f"{min(counts)} of {len(seen.t)} frames are left to learn from"
+    return [
+        f"blocks of {block:.2g} s are short for the gap of {asked:g} s that separates held-out frames from the others: "
+        f"{left}, and the held-out error is less certain; record for longer, or in longer blocks"
+    ]
+
+
+def _rest(reach: Floats) -> Floats:
+    """Return the command (C,) at rest: 0, or the middle of a range (C, 2) that lies far from 0."""
+    home = home_command(reach)
+    return np.where((home > reach[:, 0]) & (home < reach[:, 1]), home, 0.0)
+
+
+def _from_home(commands: Floats, unit: str) -> list[str]:
+    """Return a sentence if the commands are not counted from home."""
+    reach = np.stack([commands.min(axis=0), commands.max(axis=0)], axis=1)
+    home = _rest(reach)
+    far = np.flatnonzero(home)
+    if not len(far):
+        return []
+    c = int(far[0])
+    span = f"command {c + 1} goes from {reach[c, 0]:.6g} to {reach[c, 1]:.6g} {unit}"
+    return [
+        f"{span}, far from 0: effects such as gain, play and slack count from 0, which is home; subtract home in the "
+        f"mapping (`offset`); the middle of its range ({home[c]:.6g} {unit}) is taken as the pose at rest"
     ]
 
 
@@ -290,7 +350,8 @@ def learned_model(runs: Run | Sequence[Run], learned: LearnedRod) -> Model:
     run, markers = together[0], len(learned.per_marker_mm)
     rod = learned.rod.compiled()
     commands = np.concatenate([one.commands(learned.input) for one in together])
-    home = rod.evaluate(np.zeros((1, commands.shape[1]))).reshape(-1, 3)
+    reach = np.stack([commands.min(axis=0), commands.max(axis=0)], axis=1)
+    home = rod.evaluate(_rest(reach)[None]).reshape(-1, 3)
     model = Model(
         kind="rod",
         prior=rod,
@@ -301,7 +362,7 @@ def learned_model(runs: Run | Sequence[Run], learned: LearnedRod) -> Model:
         vertex_error_mm=learned.error_mm,
         tip_indices=np.array([markers - 1]),
         gravity_reference=_gravity(run),
-        command_range=np.stack([commands.min(axis=0), commands.max(axis=0)], axis=1),
+        command_range=reach,
         robot=run.robot or str(learned.made_from.get("robot", "robot")),
         command_unit=run.command_unit,
         input=learned.input,

@@ -1,0 +1,68 @@
+"""The argument parser of every verb: what it refuses is answered with the nearest option or choice that exists."""
+
+from __future__ import annotations
+
+import argparse
+import re
+from collections.abc import Iterator, Sequence
+from typing import Any, NoReturn
+
+from softmap_edge.errors import nearest
+
+_CHOICE = re.compile(r"invalid choice: '?([^'\s]*)'? \(choose from (.*)\)")
+
+
+class Parser(argparse.ArgumentParser):
+    """A parser that names what was probably meant."""
+
+    asked: Sequence[str] = ()
+
+    def parse_args(self, args: Any = None, namespace: Any = None) -> Any:
+        """Parse `args`; exit with code 2 and one line where they cannot be used."""
+        self._remember(list(args or ()))
+        return super().parse_args(args, namespace)
+
+    def _remember(self, asked: Sequence[str]) -> None:
+        """Keep what was asked for, here and in the parsers of actions."""
+        self.asked = asked
+        for one in parsers_below(self):
+            one.asked = asked
+
+    def error(self, message: str) -> NoReturn:
+        """Print usage, the fault and what was probably meant; exit with code 2."""
+        hints = [*self._options(), *_choice(message)]
+        super().error("; ".join([message, *dict.fromkeys(hints)]))
+
+    def _options(self) -> list[str]:
+        """Return the nearest option for each one that does not exist."""
+        known = options_of(self)
+        given = [word.split("=")[0] for word in self.asked if re.match(r"--[^\d=]", word)]
+        wrong = [word for word in given if not any(option.startswith(word) for option in known)]
+        found = [(word, nearest(word, known, 2)) for word in wrong]
+        return [f"there is no option {word}: did you mean {' or '.join(near)}?" for word, near in found if near]
+
+
+def parsers_below(parser: argparse.ArgumentParser) -> Iterator[Parser]:
+    """Yield the parsers of a parser's actions, such as that of `servo scan`."""
+    for action in parser._actions:
+        if isinstance(action, argparse._SubParsersAction):
+            for one in action.choices.values():
+                yield one
+                yield from parsers_below(one)
+
+
+def options_of(parser: argparse.ArgumentParser) -> list[str]:
+    """Return the long options of a parser, and of its actions."""
+    found = [text for action in parser._actions for text in action.option_strings]
+    for one in parsers_below(parser):
+        found += [text for action in one._actions for text in action.option_strings]
+    return sorted({text for text in found if text.startswith("--")})
+
+
+def _choice(message: str) -> list[str]:
+    """Return the nearest choice for one that does not exist."""
+    found = _CHOICE.search(message)
+    if found is None:
+        return []
+    near = nearest(found[1], [text.strip(" '\"") for text in found[2].split(",")])
+    return [f"did you mean {near[0]}?"] if near else []

@@ -1,0 +1,54 @@
+"""Standard streams that outlive their reader: once `head` has seen enough, a verb goes on and writes its files."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import sys
+from collections.abc import Iterator
+from typing import Any
+
+
+class Outliving:
+    """A stream whose writes go nowhere once its reader has closed the pipe."""
+
+    def __init__(self, stream: Any) -> None:
+        self._stream = stream
+
+    def write(self, text: str) -> int:
+        """Write `text`; return the number of characters."""
+        try:
+            return int(self._stream.write(text))
+        except BrokenPipeError:
+            self._give_up()
+            return len(text)
+
+    def flush(self) -> None:
+        """Hand over what is kept."""
+        try:
+            self._stream.flush()
+        except BrokenPipeError:
+            self._give_up()
+
+    def _give_up(self) -> None:
+        """Lead the stream to nowhere, with what it still keeps."""
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nowhere, self._stream.fileno())
+        os.close(nowhere)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+
+@contextlib.contextmanager
+def outliving() -> Iterator[None]:
+    """Let standard output and standard error outlive their readers."""
+    streams = sys.stdout, sys.stderr
+    sys.stdout, sys.stderr = (None if one is None else Outliving(one) for one in streams)
+    try:
+        yield
+    finally:
+        for one in (sys.stdout, sys.stderr):
+            if one is not None:
+                one.flush()
+        sys.stdout, sys.stderr = streams

@@ -1,0 +1,157 @@
+"""The verb run: cut a run into pieces, join runs into one, show what a run holds."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from softmap_edge.commands.output import check_file, check_no_run
+from softmap_edge.errors import RunError
+from softmap_edge.experiment.recorded import open_run
+from softmap_edge.run import Run
+from softmap_edge.run_contents import contents, lines
+from softmap_edge.run_cut import cut
+from softmap_edge.run_join import GAP_S, join_runs
+
+Piece = tuple[str, Run]
+
+
+def _cut_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("run", help="the run (.npz or .mcap)")
+    parser.add_argument(
+        "--from", dest="start", action="append", type=float, metavar="S",
+        help="begin of a piece, s; repeat --from and --to for several pieces",
+    )  # fmt: skip
+    parser.add_argument("--to", dest="end", action="append", type=float, metavar="S", help="end of a piece, s")
+    parser.add_argument("--block", action="append", metavar="LABEL", help="a piece is this block; repeat for several")
+    parser.add_argument(
+        "--lead", type=float, default=0.0, metavar="S",
+        help="keep the commands of this many seconds before each piece, so that memory is still right (0)",
+    )  # fmt: skip
+    _out_arguments(parser, "the piece to write (.npz); several pieces are NAME_1.npz, NAME_2.npz, …")
+
+
+def _join_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("runs", nargs="+", metavar="run", help="the runs of one robot (.npz or .mcap), in order")
+    parser.add_argument(
+        "--gap", type=float, default=GAP_S, metavar="S",
+        help=f"time between runs that are not pieces of one recording, s ({GAP_S:g})",
+    )  # fmt: skip
+    parser.add_argument(
+        "--drop", action="append", default=[], metavar="FIELD", help="leave out a field that not all runs share"
+    )
+    _out_arguments(parser, "the run to write (.npz)")
+
+
+def _out_arguments(parser: argparse.ArgumentParser, text: str) -> None:
+    parser.add_argument("--out", required=True, metavar="NAME.npz", help=text)
+    parser.add_argument("--force", action="store_true", help="replace the run that stands there")
+
+
+def _show_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("run", help="the run (.npz or .mcap)")
+
+
+def _cut(args: argparse.Namespace) -> int:
+    check_file("--out", args.out, ".npz")
+    run = open_run(args.run)
+    found = _pieces(run, args)
+    names = [args.out] if len(found) == 1 else [_numbered(args.out, k) for k in range(1, len(found) + 1)]
+    for name in names:
+        check_no_run("--out", name, args.force)
+    for name, (_, piece) in zip(names, found):
+        piece.save(name)
+    documents = [contents(piece) | {"out": name} for name, (_, piece) in zip(names, found)]
+    if args.json:
+        print(json.dumps({"schema": "softmap.cut/1", "run": run.hash(), "pieces": documents}, ensure_ascii=False))
+        return 0
+    for name, (what, piece) in zip(names, found):
+        print(f"{name}: {what}, {len(piece.t)} rows, {piece.frames} frames")
+    if any(piece.t[0] > run.t[0] for _, piece in found) and not args.lead:
+        print("  prediction begins in equilibrium at the first row; --lead S keeps the commands before a piece")
+    return 0
+
+
+def _pieces(run: Run, args: argparse.Namespace) -> list[Piece]:
+    """Return each piece that is asked for, and what it is.
+
+    Raises:
+        RunError: no piece is asked for, or begins and ends do not pair.
+    """
+    if args.block:
+        if args.start or args.end:
+            raise RunError("--block and --from/--to: give one of the two; a piece of a block takes two cuts")
+        return [(f"block {label}", cut(run, block=label, lead_s=args.lead)) for label in args.block]
+    pairs = _pairs(args.start or [], args.end or [])
+    found = [cut(run, low, high, lead_s=args.lead) for low, high in pairs]
+    return [(_span(piece), piece) for piece in found]
+
+
+def _pairs(starts: Sequence[float], ends: Sequence[float]) -> list[tuple[float | None, float | None]]:
+    """Return begin and end (s) of each piece; None is that of the run."""
+    if not starts and not ends:
+        raise RunError("no piece is named; give --from and --to in seconds, or --block LABEL")
+    if len(starts) <= 1 and len(ends) <= 1:
+        return [(starts[0] if starts else None, ends[0] if ends else None)]
+    if len(starts) != len(ends):
+        raise RunError(
+            f"{len(starts)} --from and {len(ends)} --to: for several pieces give both of each, as --from 0 --to 30 "
+            "--from 60 --to 90"
+        )
+    return list(zip(starts, ends))
+
+
+def _span(run: Run) -> str:
+    """Return when a piece is seen, or commanded where nothing was seen."""
+    times = run.t_seen if run.frames else run.t
+    return f"{times[0]:g} to {times[-1]:g} s"
+
+
+def _numbered(name: str, number: int) -> str:
+    path = Path(name)
+    return str(path.with_name(f"{path.stem}_{number}{path.suffix}"))
+
+
+def _join(args: argparse.Namespace) -> int:
+    check_file("--out", args.out, ".npz")
+    check_no_run("--out", args.out, args.force)
+    whole = join_runs([open_run(path) for path in args.runs], args.gap, args.drop)
+    whole.save(args.out)
+    document = contents(whole)
+    if args.json:
+        print(json.dumps({"schema": "softmap.join/1", "out": args.out} | document, ensure_ascii=False))
+    else:
+        print("\n".join([f"{args.out}: {len(args.runs)} runs joined", *lines(document)]))
+    return 0
+
+
+def _show(args: argparse.Namespace) -> int:
+    document = contents(open_run(args.run))
+    if args.json:
+        print(json.dumps({"schema": "softmap.contents/1", "path": args.run} | document, ensure_ascii=False))
+    else:
+        print("\n".join(lines(document)))
+    return 0
+
+
+ACTIONS: dict[str, tuple[str, Callable[[argparse.ArgumentParser], None], Callable[[argparse.Namespace], int]]] = {
+    "cut": ("cut pieces out of a run, by time or by block", _cut_arguments, _cut),
+    "join": ("join runs of one robot into one", _join_arguments, _join),
+    "show": ("list what a run holds", _show_arguments, _show),
+}
+
+
+def run_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments of `run` and of its actions."""
+    what = parser.add_subparsers(dest="what", required=True, metavar="|".join(ACTIONS))
+    for name, (text, declare, _) in ACTIONS.items():
+        one = what.add_parser(name, help=text)
+        declare(one)
+        one.add_argument("--json", action="store_true", default=argparse.SUPPRESS, help="print one JSON document")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Cut, join or show runs."""
+    return ACTIONS[args.what][2](args)

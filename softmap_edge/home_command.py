@@ -1,0 +1,22 @@
+"""The command at which a robot rests: 0, unless its range lies far from 0, as servo ticks not counted from home."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+FAR = 0.5  # of its range: a command that stays farther from 0 is not counted from home
+
+
+def home_command(reach: ArrayLike) -> NDArray[np.float64]:
+    """Return the command (C,) at rest.
+
+    Args:
+        reach: least and largest command of each channel, shape (C, 2).
+
+    Returns:
+        0 where the range holds it, its nearest end where it begins a little beyond, the middle of a range far from 0.
+    """
+    low, high = np.asarray(reach, float).reshape(-1, 2).T
+    far = (np.maximum(low, -high) > FAR * (high - low)) & (high > low)
+    return np.asarray(np.where(far, 0.5 * (low + high), np.clip(0.0, np.minimum(low, high), np.maximum(low, high))))

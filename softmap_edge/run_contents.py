@@ -1,0 +1,153 @@
+"""List what a run holds: channels, units, rows, frames, blocks, time span, declared conditions, origin."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from softmap_edge.run import OURS, Run
+from softmap_edge.run_pieces import spans
+
+DECLARED = {"temperature": "°C", "load": "g"}
+MOST = 12  # blocks or pieces that a text lists
+
+
+def contents(run: Run) -> dict[str, Any]:
+    """Return what a run holds, with units in the keys.
+
+    Returns:
+        dict: `blocks` is a list of `{label, frames, from_s, to_s}` in order of appearance, `origin` a list of
+        `{recording, rows, frames, from_s, to_s, at_s}`: the hash of each recording, the span of its clock, and the
+        time in this run at which it begins.
+    """
+    seen = next((name for name in ("vertices", "markers", "points") if getattr(run, name) is not None), None)
+    return {
+        "robot": run.robot,
+        "hash": run.hash(),
+        "channels": run.channels,
+        "command_unit": "ticks" if run.ticks is not None else run.command_unit,
+        "command_range": _ranges(run),
+        "encoders": run.present is not None or run.present_ticks is not None,
+        "rows": len(run.t),
+        "from_s": _rounded(run.t[0]),
+        "to_s": _rounded(run.t[-1]),
+        "timeless": run.timeless,
+        "frames": run.frames,
+        "seen": seen,
+        "names": run.marker_names,
+        "output_unit": None if run.output is None else run.output.unit,
+        "declared": _declared(run),
+        "aligned": run.frame is not None or run.frame_sigma is not None,
+        "blocks": _blocks(run),
+        "origin": _origin(run),
+        "kept": sorted(set(run.extra) - OURS),
+    }
+
+
+def _declared(run: Run) -> dict[str, Any]:
+    """Return the range of each declared condition."""
+    found: dict[str, Any] = {}
+    if run.gravity is not None:
+        rows = np.unique(np.round(np.atleast_2d(run.gravity), 3), axis=0) + 0.0
+        found["gravity"] = rows[:4].tolist()
+    for name in DECLARED:
+        value = getattr(run, name)
+        if value is not None and value.size:
+            found[name] = [_rounded(value.min()), _rounded(value.max())]
+    if run.sigma is not None:
+        found["sigma_mm"] = _rounded(np.median(run.sigma))
+    return found
+
+
+def _blocks(run: Run) -> list[dict[str, Any]]:
+    """Return the blocks in the order in which they appear."""
+    if run.block is None:
+        return []
+    labels, first, which = np.unique(run.block, return_index=True, return_inverse=True)
+    times = [run.t_seen[which.reshape(-1) == k] for k in range(len(labels))]
+    return [
+        {
+            "label": str(labels[k]),
+            "frames": len(times[k]),
+            "from_s": _rounded(times[k][0]),
+            "to_s": _rounded(times[k][-1]),
+        }
+        for k in np.argsort(first)
+    ]
+
+
+def _origin(run: Run) -> list[dict[str, Any]]:
+    """Return the pieces of recordings in the run."""
+    found = spans(run)
+    ends = [(part.row, part.frame) for part, _, _ in found[1:]] + [(len(run.t), run.frames)]
+    return [
+        {
+            "recording": part.origin,
+            "rows": row - part.row,
+            "frames": frame - part.frame,
+            "from_s": _rounded(low),
+            "to_s": _rounded(high),
+            "at_s": _rounded(low + part.shift_s),
+        }
+        for (part, low, high), (row, frame) in zip(found, ends)
+    ]
+
+
+def _ranges(run: Run) -> list[list[float]]:
+    """Return the lowest and highest command of each channel."""
+    rows = run.command if run.command is not None else run.ticks
+    return [] if rows is None else [[_rounded(c.min()), _rounded(c.max())] for c in rows.T]
+
+
+def _rounded(value: Any) -> float:
+    return float(f"{float(value):.6g}")
+
+
+def lines(document: dict[str, Any]) -> list[str]:
+    """Return the contents for a terminal."""
+    d, unit = document, document["command_unit"]
+    over = "without time" if d["timeless"] else f"from {d['from_s']:g} to {d['to_s']:g} s"
+    found = [
+        f"robot     {d['robot'] or 'not named'}",
+        f"commands  {d['channels']} channels in {unit}, {d['rows']} rows {over}" + ", encoders" * d["encoders"],
+        *(f"          channel {c}: {low:g} to {high:g} {unit}" for c, (low, high) in enumerate(d["command_range"])),
+        f"seen      {d['frames']} frames of {_seen(d)}" + ", aligned to the base" * d["aligned"],
+        f"declared  {_conditions(d['declared'])}",
+    ]
+    found += _listed("blocks", [_block(one) for one in d["blocks"]])
+    found += _listed("origin", [_piece(one, d["hash"]) for one in d["origin"]])
+    found += [f"kept      {', '.join(d['kept'])} (not known here, ignored)"] if d["kept"] else []
+    return [*found, f"hash      {d['hash']}"]
+
+
+def _seen(document: dict[str, Any]) -> str:
+    names, unit = document["names"], document["output_unit"]
+    if unit is not None:
+        return f"{', '.join(names)} ({unit})"
+    return f"{len(names)} markers: {', '.join(names)}" if names else str(document["seen"] or "nothing")
+
+
+def _conditions(declared: dict[str, Any]) -> str:
+    texts = [f"gravity {' and '.join(map(str, declared['gravity']))}"] if "gravity" in declared else []
+    for name, unit in DECLARED.items():
+        if name in declared:
+            low, high = declared[name]
+            texts.append(f"{name} {low:g}{'' if low == high else f' to {high:g}'} {unit}")
+    texts += [f"sigma {declared['sigma_mm']:g} mm"] if "sigma_mm" in declared else []
+    return ", ".join(texts) or "nothing"
+
+
+def _block(one: dict[str, Any]) -> str:
+    return f"{one['label']}: {one['frames']} frames from {one['from_s']:g} to {one['to_s']:g} s"
+
+
+def _piece(one: dict[str, Any], own: str) -> str:
+    what = "this recording" if one["recording"] == own else f"recording {one['recording'][:12]}"
+    where = "" if one["at_s"] == one["from_s"] else f", here at {one['at_s']:g} s"
+    return f"{what}: {one['rows']} rows, {one['frames']} frames, {one['from_s']:g} to {one['to_s']:g} s{where}"
+
+
+def _listed(name: str, texts: list[str]) -> list[str]:
+    more = [f"… and {len(texts) - MOST} more"] if len(texts) > MOST else []
+    return [f"{'' if k else name:<10}{text}" for k, text in enumerate([*texts[:MOST], *more])]

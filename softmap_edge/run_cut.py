@@ -1,0 +1,116 @@
+"""Cut a piece out of a run: a span of time or a block, with the hash of its recording and its times.
+
+A piece keeps the frames of its span, and the rows from the last one before it (whose command still holds) to the first
+one after its last frame (commands are linear between rows). Prediction begins in equilibrium at the first row, so the
+memory of earlier commands is lost; `lead_s` keeps the rows of that many seconds before the first frame.
+Pinned by tests/test_run_parts.py.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softmap_edge import run_fields, run_pieces
+from softmap_edge.errors import RunError, no_name
+from softmap_edge.run import OURS, Run
+from softmap_edge.run_join import join_runs
+
+MOST_NAMED = 20  # blocks that an error lists
+
+
+def cut(
+    run: Run,
+    start: float | None = None,
+    end: float | None = None,
+    *,
+    block: str | int | None = None,
+    lead_s: float = 0.0,
+) -> Run:
+    """Return a piece of a run.
+
+    Args:
+        run: with T rows and K frames.
+        start, end: s; frames with start <= time < end. None is the begin or the end of the run.
+        block: a label, in place of a time. If its frames lie in several places of the run, these are joined.
+        lead_s: s of commands that are kept before the first frame, so that memory is still right.
+
+    Raises:
+        RunError: nothing lies within, there is no such block, or `start` is not before `end`.
+    """
+    if not lead_s >= 0.0:
+        raise RunError(f"lead_s: {lead_s:g} s, expected 0 or more")
+    if block is None:
+        return _span(run, -np.inf if start is None else start, np.inf if end is None else end, lead_s)
+    if start is not None or end is not None:
+        raise RunError("cut: give a block or a time, not both; a piece of a piece takes two cuts")
+    found = [_part(run, frames, lead_s) for frames in _places(run, str(block))]
+    return found[0] if len(found) == 1 else join_runs(found)
+
+
+def _span(run: Run, start: float, end: float, lead_s: float) -> Run:
+    """Return the piece of a span of time."""
+    span = f"from {run.t[0] if start == -np.inf else start:g} to {run.t[-1] if end == np.inf else end:g} s"
+    lasts = f"the run lasts from {run.t[0]:g} to {run.t[-1]:g} s"
+    if not start < end:
+        raise RunError(f"cut: {span} ends before it begins; {lasts}")
+    frames = slice(int(np.searchsorted(run.t_seen, start)), int(np.searchsorted(run.t_seen, end)))
+    if frames.start < frames.stop:
+        return _part(run, frames, lead_s, start, end)
+    if run.frames or not np.any((run.t >= start) & (run.t < end)):
+        what = "frame is seen" if run.frames else "row lies"
+        raise RunError(f"cut: no {what} {span}; {lasts}")
+    return _part(run, frames, lead_s, start, end)
+
+
+def _places(run: Run, label: str) -> list[slice]:
+    """Return the stretches of frames that have this label."""
+    if run.block is None:
+        raise RunError(
+            "cut: the run has no blocks; cut it by time (--from, --to), or declare `block` where it is imported"
+        )
+    labels = np.array([str(one) for one in run.block.tolist()])
+    inside = np.r_[False, labels == label, False]
+    edges = np.flatnonzero(inside[1:] != inside[:-1])
+    if not len(edges):
+        raise RunError(no_name("block", label, list(dict.fromkeys(labels.tolist())), MOST_NAMED))
+    return [slice(int(first), int(last)) for first, last in zip(edges[::2], edges[1::2])]
+
+
+def _part(run: Run, frames: slice, lead_s: float, start: float = np.inf, end: float = -np.inf) -> Run:
+    """Return some frames of a run, with the rows that belong to them and to the span from `start` to `end`."""
+    t, seen = run.t, run.t_seen[frames]
+    begins = min(start, float(seen[0]) if len(seen) else np.inf)
+    ends = float(seen[-1]) if len(seen) else -np.inf
+    first = max(int(np.searchsorted(t, begins - lead_s, side="right")) - 1, 0)
+    last = max(int(np.searchsorted(t, end)), int(np.searchsorted(t, ends)) + 1)
+    rows = slice(first, min(last, len(t)))
+    chosen = np.zeros(run.frames, bool)
+    chosen[frames] = True
+    part = run.at(chosen)
+    extra = dict(part.extra)
+    extra |= {name: array[kept] for name, array, kept in _along(run, rows, frames)}
+    extra |= run_pieces.fields(run_pieces.within(run_pieces.pieces(run), rows, frames))
+    return dataclasses.replace(part, **_rows(run, rows), extra=extra)
+
+
+def _rows(run: Run, rows: slice) -> dict[str, Any]:
+    """Return the fields that have a row for each command, cut."""
+    values = {name: getattr(run, name) for name, (axes, _) in run_fields.AXES.items() if axes.startswith("T")}
+    return {
+        name: value[rows]
+        for name, value in values.items()
+        if value is not None and value.ndim == len(run_fields.AXES[name][0])
+    }
+
+
+def _along(run: Run, rows: slice, frames: slice) -> list[tuple[str, NDArray[Any], slice]]:
+    """Return the unknown fields that have an entry for each row or each frame, and their part."""
+    unknown = [(name, array) for name, array in run.extra.items() if name not in OURS and array.ndim]
+    by_row = [(name, array, rows) for name, array in unknown if len(array) == len(run.t)]
+    return by_row + [
+        (name, array, frames) for name, array in unknown if len(array) == run.frames and len(array) != len(run.t)
+    ]

@@ -1,0 +1,91 @@
+"""Check whether runs can be joined: one robot, one unit, the same channels, points and declared conditions."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+
+from softmap_edge.errors import RunError
+from softmap_edge.run import Run
+
+REST_MM = 1e-6  # mm by which the markers at rest may differ
+OPTIONAL = ("present", "present_ticks", "current", "temperature", "load", "gravity", "sigma", "frame_sigma")
+
+
+def check_fit(runs: Sequence[Run]) -> None:
+    """Raise RunError, with both values, where a run is not of the robot of the first one."""
+    for number, run in enumerate(runs[1:], start=2):
+        for what, first, other in _facts(runs[0], run):
+            if first != other:
+                raise RunError(
+                    f"run {number} has {_text(other)} {what}, the first run {_text(first)}; join runs of one robot, "
+                    "recorded and imported in the same way"
+                )
+    for number, run in enumerate(runs, start=1):
+        for name in (*OPTIONAL, "frame", "marker_rest", "cameras"):
+            _check_all(name, number, run, runs)
+
+
+def _facts(one: Run, other: Run) -> Iterator[tuple[str, Any, Any]]:
+    """Return what has to be the same, as (what, of the first run, of the other)."""
+    if one.robot is not None and other.robot is not None:
+        yield "as its robot", one.robot, other.robot
+    yield "as the kind of its commands", _kind(one), _kind(other)
+    yield "command channels", one.channels, other.channels
+    yield "as the unit of its commands", one.command_unit, other.command_unit
+    yield "as what was seen", _seen(one), _seen(other)
+    yield "points a frame", _count(one), _count(other)
+    yield "as the names of its markers", one.marker_names, other.marker_names
+    yield "as its outputs", _outputs(one), _outputs(other)
+    yield "as its time", _time(one), _time(other)
+
+
+def _outputs(run: Run) -> str | None:
+    """Return the names and the unit of the outputs; None for places."""
+    return None if run.output is None else f"{', '.join(run.output.names)} in {run.output.unit}"
+
+
+def _time(run: Run) -> str:
+    """Return what the times of a run are."""
+    return "rows without time" if run.timeless else "seconds"
+
+
+def _text(value: Any) -> str:
+    """Return a value as a message prints it."""
+    return ", ".join(value[:6]) + ", …" * (len(value) > 6) if isinstance(value, list) else str(value)
+
+
+def _kind(run: Run) -> str:
+    """Return whether a run is commanded in ticks or in its command unit."""
+    return "ticks" if run.ticks is not None else "commands"
+
+
+def _seen(run: Run) -> str:
+    """Return which points a run holds."""
+    return next((name for name in ("vertices", "markers", "points") if getattr(run, name) is not None), "nothing")
+
+
+def _count(run: Run) -> int:
+    """Return the number of points in a frame; 0 for clouds."""
+    seen = run.vertices if run.vertices is not None else run.markers
+    return 0 if seen is None else int(seen.shape[1])
+
+
+def _check_all(name: str, number: int, run: Run, runs: Sequence[Run]) -> None:
+    """Raise RunError where a field is in some runs only, or is not the same where it has to be."""
+    first, value = getattr(runs[0], name), getattr(run, name)
+    if (first is None) != (value is None):
+        holds, lacks = (1, number) if value is None else (number, 1)
+        raise RunError(
+            f"{name}: run {holds} holds it, run {lacks} does not; declare it in both, or leave it out (--drop {name})"
+        )
+    if name not in ("marker_rest", "cameras") or first is None:
+        return
+    if first.shape != value.shape or not np.allclose(first, value, rtol=0.0, atol=REST_MM):
+        off = f"by up to {np.abs(first - value).max():.3g} mm" if first.shape == value.shape else "in their number"
+        raise RunError(
+            f"{name}: that of run {number} differs from that of run 1 {off}; join runs of one set-up, or leave it out "
+            f"(--drop {name})"
+        )
