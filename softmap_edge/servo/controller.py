@@ -60,8 +60,7 @@ class Controller(Watched):
     CONNECTED, home is not asked for, and small slow moves are all that is allowed (`jog.py`). Leaving slackens and
     switches torque off, whatever happened. With `record` all that the loop hears, decides and sends goes to that file,
     which must not exist (`recording.py`); a disk that is full ends the recording and not the loop (`unrecorded`).
-    `tell` is given what a user should know of servos and bus, a line each: what a start wrote anew (`mended`), and at
-    the end answers that were lost, or that another program asked for (`bus`).
+    `tell` is given lines for the user: what a start wrote again (`mended`), and answers lost or not asked for (`bus`).
 
     Raises:
         ServoError: a limit is missing or out of range, the loop cannot start, or a request is denied; the message says
@@ -141,16 +140,6 @@ class Controller(Watched):
     def recording(self) -> Path | None:
         """The file that is recorded to; it can be read while it grows."""
         return self._record
-
-    @property
-    def mended(self) -> list[str]:
-        """What this start wrote anew in the servos, a line each: registers that another program had left."""
-        return list(self._last.get("mended", []))
-
-    @property
-    def bus(self) -> dict[str, int]:
-        """How the questions on the bus went so far: answers `asked` for, `lost`, `damaged`, and `unasked` ones."""
-        return {name: int(self._last.get(name, 0)) for name in words.BUS}
 
     @property
     def unrecorded(self) -> str | None:
