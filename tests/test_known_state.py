@@ -2,6 +2,8 @@
 
 import re
 import shlex
+import subprocess
+import sys
 
 import pytest
 from other_program import leave
@@ -177,3 +179,9 @@ def test_the_rig_keeps_the_gains_of_a_servo_that_was_set_up(tmp_path, capsys):
 def test_gains_that_a_rig_cannot_hold_count_for_nothing(kept):
     assert gains_of({SET_UP: {"servo_1": kept}}, 1) == ()
     assert servo_model(MODEL)["pwm_limit"] == 885
+
+
+def test_the_process_of_a_loop_starts_without_numpy():
+    """A start that reads more of the servos is not to take longer than before."""
+    look = "import sys, softmap_edge.servo.loop; sys.exit('numpy' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", look], check=False).returncode == 0

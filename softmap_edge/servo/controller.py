@@ -61,8 +61,7 @@ class Controller(Watched):
     switches torque off, whatever happened. With `record` all that the loop hears, decides and sends goes to that file,
     which must not exist (`recording.py`). A full disk ends the recording and not the loop: `unrecorded` says so
     meanwhile, and leaving raises `RecordingBroken`.
-    `tell` is given what a user should know of servos and bus, a line each: what a start wrote anew (`mended`), and at
-    the end answers that were lost, or that another program asked for (`bus`).
+    `tell` is given lines for the user: what a start wrote again (`mended`), and answers lost or not asked for (`bus`).
 
     Raises:
         ServoError: a limit is missing or out of range, the loop cannot start, or a request is denied; the message says
@@ -143,19 +142,9 @@ class Controller(Watched):
             raise ServoError(said) if ended or kept else RecordingBroken(said)
 
     @property
-    def mended(self) -> list[str]:
-        """What this start wrote anew in the servos, a line each: registers that another program had left."""
-        return list(self._last.get("mended", []))
-
-    @property
     def time(self) -> Clock:
         """The time that the robot lives in: of a simulated one it may stand, or go faster than real time."""
         return self.rig.time
-
-    @property
-    def bus(self) -> dict[str, int]:
-        """How the questions on the bus went so far: answers `asked` for, `lost`, `damaged`, and `unasked` ones."""
-        return {name: int(self._last.get(name, 0)) for name in words.BUS}
 
     def request(self, name: str, seconds: float = 3.0) -> None:
         """Ask for `connect`, `arm`, `engage`, `hold`, `stop`, `acknowledge`, `disconnect` or `commission`.

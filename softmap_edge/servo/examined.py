@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from softmap_edge import _core
 from softmap_edge.errors import NoAnswer, ServoError
@@ -16,7 +16,9 @@ from softmap_edge.servo.bus import opened, patiently, pinged, registers
 from softmap_edge.servo.known_state import Asked, Found, Need, Values, complaints, gains_of, passing, usual
 from softmap_edge.servo.models import numbered, servo_model
 from softmap_edge.servo.presence import muted, shared, shares, why_silent
-from softmap_edge.servo.rig import Rig
+
+if TYPE_CHECKING:
+    from softmap_edge.servo.rig import Rig
 
 
 @dataclass(frozen=True)

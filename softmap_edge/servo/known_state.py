@@ -18,7 +18,6 @@ from dataclasses import dataclass
 from typing import Any
 
 from softmap_edge import _core
-from softmap_edge.servo.limits import CURRENT, SLEW, slowed, strongest
 from softmap_edge.servo.models import Entry, numbered
 
 CLEAR = 42  # firmware below which a tripped watchdog lets the motor run on, in mode 4 with a homing offset
@@ -82,12 +81,16 @@ class Need:
 
 def usual(model: Entry) -> Asked:
     """Return what is asked of a servo where no rig is given."""
+    from softmap_edge.servo.limits import CURRENT, SLEW, slowed, strongest  # the loop's process starts without numpy
+
     most = CURRENT * strongest(model)
     return Asked(most, min(SLEW, slowed(model, most)))
 
 
 def most(model: Entry) -> Asked:
     """Return the most that can be asked of a servo: what it gives as delivered."""
+    from softmap_edge.servo.limits import strongest
+
     return Asked(strongest(model), float(model["fastest_ticks_per_s"]))
 
 

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.errors import RecordingBroken, ServoError
+from softmap_edge.servo import words
 from softmap_edge.servo.bus import kept_torque, opened
 from softmap_edge.servo.ending import kept_words
 from softmap_edge.servo.recording_end import broken_recording
@@ -85,6 +86,16 @@ class Watched:
         """Raise RecordingBroken where a recording ended before the loop did."""
         if self.unrecorded is not None:
             raise RecordingBroken(self.unrecorded)
+
+    @property
+    def mended(self) -> list[str]:
+        """What this start wrote anew in the servos, a line each: registers that another program had left."""
+        return list(self._last.get("mended", []))
+
+    @property
+    def bus(self) -> dict[str, int]:
+        """How the questions on the bus went so far: answers `asked` for, `lost`, `damaged`, and `unasked` ones."""
+        return {name: int(self._last.get(name, 0)) for name in words.BUS}
 
     def _watch(self, pipe: int, process: subprocess.Popen[bytes]) -> None:
         """Take the loop's reports until it ends; release its servos if it dies or freezes under torque."""
