@@ -30,10 +30,10 @@ def unmeasured(run: Run) -> int | None:
         RunError: the field `plane` is not x, y or z.
     """
     field = getattr(run, "extra", {}).get(PLANE)
-    if field is None or run.markers is None:
-        return None
-    axis = str(np.asarray(field).reshape(-1)[0]) if np.size(field) == 1 else ""
-    if axis not in AXES or not axis:
+    if field is None or run.markers is None or field.dtype.kind != "U" or field.size != 1:
+        return None  # an array of this name is somebody else's field
+    axis = str(field.reshape(-1)[0])
+    if axis not in tuple(AXES):
         raise RunError(f'plane: {str(field)[:40]!r}, expected the axis that is not measured: "x", "y" or "z"')
     return AXES.index(axis)
 

@@ -249,6 +249,14 @@ def test_check_never_calls_such_a_run_sound(tmp_path, capsys):
     assert capsys.readouterr().out.startswith("sound ")
 
 
+def test_a_field_of_the_same_name_does_not_switch_the_search_off():
+    run, seen = old_run()
+    for word, found in (("keep", 0), ("checked", 0), ("", 1), ("yes", 1)):
+        assert len(lost_points(replace(run, extra={"not_seen": np.array(word)}))[1]) == found
+    mask, _ = lost_points(replace(run, extra={"not_seen": ~seen}))
+    assert np.array_equal(mask, ~seen)
+
+
 def test_vertices_and_held_places_of_a_run_are_looked_at():
     points = body(SINES, 80)
     points[100:103, 70] = 0.0

@@ -19,6 +19,7 @@ from softmap_edge.run import NOT_SEEN, Run, known
 
 Mask = NDArray[np.bool_]
 
+WORDS = ("checked", "keep")
 REMEDY = "correct the log or `visible`, or import the log again"
 KEEP = f'a field `{NOT_SEEN}` with the text "keep" keeps them'
 
@@ -34,7 +35,7 @@ def lost_points(run: Run, remedy: str = REMEDY) -> tuple[Mask, list[str]]:
         tuple: which points (K, N), and a sentence for each place that stands for "not seen".
     """
     points = run.vertices if run.vertices is not None else run.markers
-    if points is None or not points.size or NOT_SEEN in run.extra:
+    if points is None or not points.size or _looked_for(run):
         return np.zeros((len(run.t_seen), 0 if points is None else points.shape[1]), bool), []
     names = run.marker_names if run.markers is not None else [f"vertex {n}" for n in range(points.shape[1])]
     visible = known(run, points)
@@ -48,6 +49,12 @@ def lost_points(run: Run, remedy: str = REMEDY) -> tuple[Mask, list[str]]:
     if shifted is not None:
         mask, lines = mask | shifted.wrong, [*lines, shifted.line(names, remedy)]
     return mask, lines
+
+
+def _looked_for(run: Run) -> bool:
+    """Whether an import looked for such points already, or the user keeps them; no array of this name says so."""
+    word = run.extra.get(NOT_SEEN)
+    return word is not None and word.dtype.kind == "U" and word.size == 1 and str(word.reshape(-1)[0]) in WORDS
 
 
 def without_lost(run: Run, remedy: str = KEEP) -> tuple[Run, list[str]]:
