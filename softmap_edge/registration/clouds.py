@@ -105,7 +105,8 @@ def _cloud(path: Path, notes: list[str]) -> Floats:
         )
     own: list[str] = []
     try:
-        points = _reader(path)(path, own)
+        with np.errstate(all="ignore"):  # of numbers in a damaged file
+            points = _reader(path)(path, own)
         good, text = left_out(points)
         if not good.any():
             raise RegistrationError(

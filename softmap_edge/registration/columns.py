@@ -47,7 +47,8 @@ def choose(names: Sequence[str], sample: Floats, label: str) -> tuple[Triple, st
     if not names:
         return _by_values(sample, label, "its columns have no names")
     header = f"its header '{', '.join(name.strip() for name in names)[:60]}'"
-    triples = _named(names, header, label)
+    there = _named(names, header, label)
+    triples = {stem: columns for stem, columns in there.items() if max(columns) < sample.shape[1]}
     if "" in triples:
         return triples[""], ""
     if triples:
@@ -128,6 +129,7 @@ def no_coordinates(sample: Floats) -> dict[int, str]:
     """Return the columns that cannot be coordinates, each with the reason; three are left where possible."""
     rows, count = sample.shape
     known = np.isfinite(sample)
+    sample = np.clip(sample, -1e12, 1e12)  # what damage makes does not overflow
     refused = {k: FEW for k in range(count) if 2 * int(known[:, k].sum()) < rows}
     whole = {k for k in range(count) if not np.any(sample[known[:, k], k] % 1.0)}
     decimals = [k for k in range(count) if k not in refused and k not in whole]
@@ -153,8 +155,9 @@ def _even(values: Floats) -> bool:
 
 
 def _is_normal(values: Floats) -> bool:
-    length = np.linalg.norm(values[np.isfinite(values).all(axis=1)], axis=1)
-    return len(length) > 0 and float(np.mean(np.abs(length - 1.0) < _UNIT)) > 0.95
+    near = values[(np.abs(values) < 2.0).all(axis=1)]
+    unit = np.abs(np.linalg.norm(near, axis=1) - 1.0) < _UNIT
+    return int(np.count_nonzero(unit)) > 0.95 * int(np.count_nonzero(np.isfinite(values).all(axis=1))) > 0
 
 
 def _is_colour(values: Floats) -> bool:

@@ -59,8 +59,6 @@ def read_text(path: Path, notes: list[str]) -> Floats:
     sample = _sample(rows)
     names = _fitted(_header(lines[:first], dialect, max(map(len, rows))), sample)
     columns, sentence = choose(names, sample, str(path))
-    if max(columns) >= sample.shape[1]:  # words of a comment that are no names of columns
-        columns, sentence = choose([], sample, str(path))
     if sentence:
         notes.append(f"{path.name}: {sentence}")
     return _numbers(path, encoding, dialect, first, columns)
