@@ -41,6 +41,8 @@ def build(args: argparse.Namespace) -> int:
     """Simulate a finger, or take a sweep that was made before, and write the bundle."""
     _check_steps(args.steps)
     check_bundle(args.out, args.force)
+    if args.finger is not None and Path(args.finger).suffix in (".mcap", ".db3", ".bag"):
+        raise SoftmapError(f"{args.finger}: a recording; a model is learned from recordings with `softmap learn`")
     made, how = None, "another mesh, modulus ±10 %"
     with Bar(args.json) as bar:
         if args.finger is not None and Path(args.finger).suffix == ".npz":

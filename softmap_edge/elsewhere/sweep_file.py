@@ -104,6 +104,8 @@ def _checked(content: Mapping[str, NDArray[np.generic]]) -> ShapeSweep:
     if schema != SCHEMA:
         raise SweepError(f"schema {schema!r:.80}, expected {SCHEMA} or none")
     numbers = {name: _numbers(content, name) for name in _NUMBERS if name in content}
+    if "t_seen" in content and "vertices" not in content:
+        raise SweepError("it is a run; a model is learned from runs with `softmap learn`, and built from a sweep")
     for name in ("command", "vertices"):
         if name not in numbers:
             raise SweepError(f"`{name}` is missing; a sweep holds command (S, C) and vertices (S, N, 3) in mm")

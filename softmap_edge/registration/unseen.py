@@ -18,7 +18,7 @@ OFTEN = 10.0  # and by how much more often than the median place of a cloud whos
 def left_out(points: Floats) -> tuple[NDArray[np.bool_], str]:
     """Return which points (M, 3) are measurements, and a sentence about those that are left out ("" if none are)."""
     finite = np.isfinite(points).all(axis=1)
-    zero = finite & ~points.any(axis=1)
+    zero = finite & (points == 0.0).all(axis=1)
     zero &= np.count_nonzero(zero) > 1
     good: NDArray[np.bool_] = np.asarray(finite & ~zero)
     repeated, places = _repeated(points, good)
