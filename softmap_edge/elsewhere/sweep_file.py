@@ -209,8 +209,11 @@ def _ranges(numbers: Mapping[str, Floats], unit: str) -> None:
             raise SweepError(
                 f"`{name}` reaches {float(np.abs(numbers[name]).max()):.4g} mm, at most {_PLACE:g} is plausible"
             )
-    extent = float(np.ptp(numbers["vertices"].reshape(-1, 3), axis=0).max())
-    if extent < 1.0:
+    places = numbers["vertices"].reshape(-1, 3)
+    if numbers["vertices"].shape[1] == 1:  # one point is as large as it is far from the base
+        places = np.vstack([places, numbers.get("base", np.zeros(3))])
+    extent = float(np.ptp(places, axis=0).max())
+    if 0.0 < extent < 1.0:
         raise SweepError(f"all `vertices` lie within {extent:.3g} mm, which looks like metres; multiply by 1000")
     most = float(np.abs(numbers["command"]).max(initial=0.0))
     if most > (1000.0 if unit == "mm" else 1e9):
