@@ -95,6 +95,14 @@ def test_the_content_decides_and_not_the_ending(write, name, tmp_path):
     assert not mesh.groups
 
 
+@pytest.mark.parametrize("write", [ascii_vtu, raw_vtu])
+def test_a_version_that_meshio_does_not_know_is_read(write, tmp_path):
+    write(tmp_path / "bar.vtu")
+    content = (tmp_path / "bar.vtu").read_bytes()
+    (tmp_path / "bar.vtu").write_bytes(content.replace(b'" version="1.0" byte', b'" version="2.2" byte'))
+    np.testing.assert_allclose(read_mesh(tmp_path / "bar.vtu").points, NODES, atol=1e-9)
+
+
 @pytest.mark.parametrize(
     "content, says",
     [

@@ -61,6 +61,7 @@ def parse(path: str, kind: str) -> dict[str, Any]:
 
     if kind == "vtu":
         _check_pieces(Path(path).read_bytes())
+        _take_any_version()
     # The readers themselves: meshio.read ends the process where it finds no reader.
     read: dict[str, Callable[[str], Any]] = {"vtk": meshio.vtk.read, "vtu": meshio.vtu.read, "msh": meshio.gmsh.read}
     mesh = read[kind](path)
@@ -78,6 +79,25 @@ def _check_pieces(content: bytes) -> None:
     pieces = [int(n) for n in re.findall(rb"""<Piece\b[^>]*\bNumberOfCells\s*=\s*["'](\d{1,12})["']""", content)]
     if len(pieces) > 1:
         raise ValueError(f"{len(pieces)} pieces of {', '.join(map(str, pieces[:5]))} cells; merge them into one")
+
+
+def _take_any_version() -> None:
+    """Let meshio read files of versions that it does not know, in this child alone: tetrahedra are the same in all."""
+    from xml.etree import ElementTree
+
+    parse_file, from_text = ElementTree.parse, ElementTree.fromstring
+
+    def parse(*args: Any) -> Any:
+        tree = parse_file(*args)
+        tree.getroot().attrib.pop("version", None)
+        return tree
+
+    def fromstring(*args: Any) -> Any:
+        root = from_text(*args)
+        root.attrib.pop("version", None)
+        return root
+
+    vars(ElementTree).update(parse=parse, fromstring=fromstring)
 
 
 def _groups(mesh: Any, kind: str, count: int) -> dict[str, NDArray[np.bool_]]:
