@@ -75,7 +75,7 @@ def _check_one(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
     clouds = max(seen, arrays["start"].size - 1 if "start" in arrays else 1)
     if clouds > 1 and "t_seen" in arrays:
         raise RegistrationError(
-            f"{path}: a run of {clouds} clouds beside other files; give it alone, or one cloud a file"
+            f"{path}: a run of {clouds} clouds among other files; give it alone, or one cloud a file"
         )
     if clouds > 1:
         raise RegistrationError(
