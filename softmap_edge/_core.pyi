@@ -503,7 +503,9 @@ class Solid:
         young: float,
         poisson: float,
         density: float,
-        regions: Sequence[tuple[tuple[float, float, float], tuple[float, float, float], float | None, float]],
+        regions: Sequence[
+            tuple[tuple[float, float, float], tuple[float, float, float], float | None, float, list[bool] | None]
+        ],
         cable_stiffness: float,
         ring: float,
         disc: float,

@@ -9,6 +9,7 @@ memory than allowed, only the child ends. Pinned by tests/test_in_child.py.
 
 from __future__ import annotations
 
+import faulthandler
 import io
 import json
 import os
@@ -37,7 +38,7 @@ def in_child(function: Callable[..., Any], *args: Any, megabytes: int = 1000, se
     """Return `function(*args)` as a forked child found it.
 
     Args:
-        function: returns arrays of numbers or text, numbers, strings, None, and lists or dicts of them.
+        function: returns arrays of numbers or text, numbers, text or None, or lists or dicts (by text) of them.
         args: its arguments.
         megabytes: memory that the child may take beyond that of this process, and size of the answer.
         seconds: time that it may take.
@@ -85,7 +86,10 @@ def _answer(content: bytes | None, status: int, megabytes: int, seconds: float) 
         how = f"signal {os.WTERMSIG(status)}" if os.WIFSIGNALED(status) else f"exit {os.waitstatus_to_exitcode(status)}"
         raise ChildFault(f"the parser crashed ({how})")
     stream = io.BytesIO(content)
-    kind, value = json.loads(stream.readline())
+    try:
+        kind, value = json.loads(stream.readline())
+    except ValueError:
+        raise ChildFault("the parser crashed while it answered") from None
     if kind == "answer":
         return _unpacked(value, stream)
     raised = getattr(errors, kind, None)
@@ -106,6 +110,7 @@ def _be_child(pipe: int, function: Callable[..., Any], args: tuple[Any, ...], me
 def _limit(megabytes: int, seconds: float) -> None:
     with open("/proc/self/statm", encoding="ascii") as file:
         taken = int(file.read().split()[0]) * _PAGE_SIZE
+    faulthandler.disable()  # its report would go where the caller's goes
     limits = {
         resource.RLIMIT_AS: taken + (megabytes << 20),
         resource.RLIMIT_CPU: int(seconds) + 2,

@@ -96,7 +96,7 @@ def objects(path):
 
 
 def other_arrays(path):
-    np.savez(path, cloud=POINTS)
+    np.savez(path, cloud=POINTS, other=POINTS)
 
 
 def flat(path):
@@ -152,7 +152,8 @@ def test_a_run_of_several_clouds_beside_other_files_is_refused(tmp_path):
         ("# Z [mm],X [mm],Y [mm]", [2, 0, 1], ""),
         ('red,"z_mm","y_mm","x_mm"', [None, 2, 1, 0], ""),
         ("nx;X;Y;Z;vx", [None, 0, 1, 2, None], ""),
-        ("Points:0,Points:1,Points:2", [0, 1, 2], "names no x, y, z; the first three columns are taken"),
+        ("Points:0,Points:1,Points:2", [0, 1, 2], "names no x, y, z; Points:0, Points:1, Points:2 are taken"),
+        ("a,b,c,d", [0, 1, 2, None], "names no x, y, z; columns 1, 2, 3 are taken"),
     ],
 )
 def test_columns_are_those_that_the_header_names(header, order, note, tmp_path):

@@ -15,7 +15,7 @@ from softmap_edge.errors import FingerError, RunError, SoftmapError
 from softmap_edge.solid.bodies import Block, Meshed
 from softmap_edge.solid.build import build_model
 from softmap_edge.solid.finger import Finger, Region, Tendon
-from softmap_edge.solid.mesh_file import read_tetrahedra
+from softmap_edge.solid.mesh_file import read_mesh
 from softmap_edge.solid.simulator import Simulator, Sweep
 from softmap_edge.solid.sofa import sofa_scene
 
@@ -305,7 +305,8 @@ def test_damaged_meshes_and_guides_give_errors_never_a_crash(tmp_path):
                 mutant[place] = rng.integers(32, 127) if k % 2 else rng.integers(0, 256)
             (tmp_path / name).write_bytes(bytes(mutant))
             try:
-                read = read_tetrahedra(tmp_path / name)
+                mesh = read_mesh(tmp_path / name)
+                read = mesh.points, mesh.cells
                 finger.solid.cells([]) if name == "bar.vtk" else _core.Mesh.tetrahedra(*read, 0)
             except SoftmapError as error:
                 refused += 1

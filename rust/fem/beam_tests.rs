@@ -123,6 +123,7 @@ fn a_stiffer_region_and_a_stiffer_side_bend_as_beam_theory_says() {
             low: [-far; 3],
             high: [far, far, high],
             side,
+            cells: None,
             young: 2.0 * young,
         })
     };

@@ -131,7 +131,8 @@ impl Changed {
     fn new(mut design: Design) -> Result<Changed> {
         let cables = bind(&mut design)?;
         let mesh = &design.mesh;
-        let mut elements = elements(mesh.kind, &mesh.cells, &mesh.nodes, &design.body)?;
+        let cells = mesh.each_cell().enumerate();
+        let mut elements = elements(mesh.kind, cells, &mesh.nodes, &design.body)?;
         elements.retain(|e| e.nodes().iter().any(|&n| !mesh.clamped[n]));
         Ok(Changed { elements, cables })
     }

@@ -33,20 +33,20 @@ pub trait Element: Send + Sync {
     fn tangent(&self, x: &[Vec3], force: &mut [Vec3], k: &mut [Block]) -> f64;
 }
 
-/// The elements of a mesh: cells of one kind.
-pub fn elements(
+/// The elements of a mesh: cells of one kind, each with its number in the mesh.
+pub fn elements<'a>(
     kind: Kind,
-    cells: &[usize],
+    cells: impl Iterator<Item = (usize, &'a [usize])>,
     nodes: &[Vec3],
     body: &Body,
 ) -> Result<Vec<Box<dyn Element>>> {
-    let make = |cell: &[usize]| -> Result<Box<dyn Element>> {
+    let make = |cell: (usize, &[usize])| -> Result<Box<dyn Element>> {
         Ok(match kind {
             Kind::Brick => Box::new(Hyperelastic::<8, 8, 8>::new(kind, cell, nodes, body)?),
             Kind::Tetrahedron => Box::new(Hyperelastic::<10, 4, 1>::new(kind, cell, nodes, body)?),
         })
     };
-    cells.chunks_exact(kind.nodes()).map(make).collect()
+    cells.map(make).collect()
 }
 
 /// One cell: gradients of its shape functions, weights and shear moduli at the Gauss points, and the bulk modulus.
@@ -63,7 +63,12 @@ struct Hyperelastic<const N: usize, const Q: usize, const G: usize> {
 
 impl<const N: usize, const Q: usize, const G: usize> Hyperelastic<N, Q, G> {
     /// Rest geometry of a cell; refused when it is turned inside out.
-    fn new(kind: Kind, cell: &[usize], nodes: &[Vec3], body: &Body) -> Result<Self> {
+    fn new(
+        kind: Kind,
+        (number, cell): (usize, &[usize]),
+        nodes: &[Vec3],
+        body: &Body,
+    ) -> Result<Self> {
         let corners: [Vec3; N] = std::array::from_fn(|a| nodes[cell[a]]);
         let mut element = Hyperelastic {
             nodes: std::array::from_fn(|a| cell[a]),
@@ -91,7 +96,7 @@ impl<const N: usize, const Q: usize, const G: usize> Hyperelastic<N, Q, G> {
                 self::apply(&cofactor, slope[a], 1.0 / det, &mut element.gradient[q][a]);
                 element.share[a] += weight * det * value[a];
             }
-            let material = body.at(place);
+            let material = body.at(place, number);
             (element.mu[q], kappa[q]) = (material.mu, material.kappa);
             element.weight[q] = weight * det;
             element.volume[q / G] += weight * det;

@@ -35,7 +35,7 @@ fn skewed(kind: Kind) -> (Vec<Vec3>, Vec<Vec3>) {
 fn one(kind: Kind, rest: &[Vec3], young: f64, poisson: f64) -> Result<Box<dyn Element>> {
     let cell: Vec<usize> = (0..kind.nodes()).collect();
     let body = Body::uniform(young, poisson, 0.0).unwrap();
-    Ok(elements(kind, &cell, rest, &body)?.remove(0))
+    Ok(elements(kind, [(0, &cell[..])].into_iter(), rest, &body)?.remove(0))
 }
 
 const KINDS: [Kind; 2] = [Kind::Brick, Kind::Tetrahedron];
@@ -99,7 +99,7 @@ fn rigid_motion_costs_nothing_and_uniform_strain_has_the_closed_form() {
             .collect();
         let j: f64 = stretch.iter().product();
         let first: f64 = stretch.iter().map(|l| l * l).sum();
-        let material = Body::uniform(0.3, 0.45, 0.0).unwrap().at([0.0; 3]);
+        let material = Body::uniform(0.3, 0.45, 0.0).unwrap().at([0.0; 3], 0);
         let density = 0.5 * material.mu * (first * j.powf(-2.0 / 3.0) - 3.0)
             + 0.25 * material.kappa * (j * j - 1.0 - 2.0 * j.ln());
         let volume: f64 = element.share().iter().sum();

@@ -1,13 +1,14 @@
 //! What a body is made of: modulus, Poisson's ratio and density, and where the modulus differs.
 //!
 //! μ = E/2(1+ν), κ = E/3(1−2ν) in MPa. A region is a box in the rest configuration, or the half of it that faces an angle
-//! about z (one side of the section stiffer); the last region that holds a place decides its modulus. The modulus is taken
-//! at Gauss points, so that a border between regions need not follow the mesh. Limit: a border inside a cell is smeared
-//! over it.
+//! about z (one side of the section stiffer), or what of them some cells of the mesh fill; the last region that holds a
+//! place decides its modulus. The modulus is taken at Gauss points, so that a border between regions need not follow the
+//! mesh. Limit: a border inside a cell is smeared over it.
 
 use super::Vec3;
 use crate::error::{Result, invalid};
 use crate::loads::{HATS, hat};
+use std::sync::Arc;
 
 /// Shear and bulk modulus, MPa.
 #[derive(Debug, Clone, Copy)]
@@ -36,19 +37,23 @@ impl Material {
     }
 }
 
-/// Where the modulus is another: a box in mm, and the half of the section that faces `side` (radians about z), if any.
+/// Where the modulus is another: a box in mm, and the half of the section that faces `side` (radians about z), if any,
+/// in those of the mesh's cells that are marked in `cells`, if any are.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Region {
     pub low: Vec3,
     pub high: Vec3,
     pub side: Option<f64>,
+    pub cells: Option<Arc<[bool]>>,
     pub young: f64,
 }
 
 impl Region {
-    fn holds(&self, p: Vec3) -> bool {
+    fn holds(&self, p: Vec3, cell: usize) -> bool {
         let boxed = (0..3).all(|i| self.low[i] <= p[i] && p[i] <= self.high[i]);
+        let marked = |cells: &Arc<[bool]>| cells.get(cell).is_some_and(|marked| *marked);
         boxed
+            && self.cells.as_ref().is_none_or(marked)
             && self
                 .side
                 .is_none_or(|a| p[0] * a.cos() + p[1] * a.sin() > 0.0)
@@ -124,9 +129,9 @@ impl Body {
         self
     }
 
-    /// The material at a place of the rest configuration.
-    pub fn at(&self, p: Vec3) -> Material {
-        let last = self.regions.iter().rev().find(|(r, _)| r.holds(p));
+    /// The material at a place of the rest configuration, in a cell of the mesh.
+    pub fn at(&self, p: Vec3, cell: usize) -> Material {
+        let last = self.regions.iter().rev().find(|(r, _)| r.holds(p, cell));
         let Material { mu, kappa } = last.map_or(self.base, |(_, material)| *material);
         let modulated = self.modulation.map_or(1.0, |m| m.logarithm(p).exp());
         let slopes = self.slopes.iter().map(|m| m.logarithm(p));
@@ -149,6 +154,7 @@ mod tests {
             low: [-far, -far, low],
             high: [far, far, high],
             side,
+            cells: None,
             young,
         };
         let regions = vec![
@@ -156,7 +162,7 @@ mod tests {
             region(20.0, 40.0, Some(0.0), 1.2),
         ];
         let body = Body::new(0.3, 0.45, 1000.0, regions).unwrap();
-        let young = |p: Vec3| body.at(p).mu * 2.0 * 1.45;
+        let young = |p: Vec3| body.at(p, 0).mu * 2.0 * 1.45;
         for (p, e) in [
             ([1.0, 0.0, 5.0], 0.3),
             ([1.0, 0.0, 15.0], 0.6),
@@ -165,6 +171,20 @@ mod tests {
             ([-1.0, 0.0, 35.0], 0.3),
         ] {
             assert!((young(p) - e).abs() < 1e-12, "{p:?}");
+        }
+        let marked = Region {
+            cells: Some([false, true].into()),
+            ..region(10.0, 30.0, None, 2.4)
+        };
+        let body = Body::new(0.3, 0.45, 1000.0, vec![marked]).unwrap();
+        let young = |z: f64, cell: usize| body.at([1.0, 0.0, z], cell).mu * 2.0 * 1.45;
+        for (z, cell, e) in [
+            (15.0, 0, 0.3),
+            (15.0, 1, 2.4),
+            (5.0, 1, 0.3),
+            (15.0, 9, 0.3),
+        ] {
+            assert!((young(z, cell) - e).abs() < 1e-12, "{z} in {cell}");
         }
         assert!(Body::uniform(0.3, 0.5, 1000.0).is_err() && Body::uniform(0.3, 0.4, -1.0).is_err());
         assert!(Body::new(0.3, 0.4, 1.0, vec![region(0.0, 1.0, None, f64::NAN)]).is_err());

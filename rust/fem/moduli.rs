@@ -65,19 +65,14 @@ fn sloped(design: &Design, body: Body, i: usize) -> Body {
 /// Elements of the free cells in which a body has any modulus.
 fn answering(design: &Design, body: &Body) -> Result<Elements> {
     let (mesh, points) = (&design.mesh, design.mesh.kind.points().0);
-    let answers = |cell: &&[usize]| {
+    let answers = |(number, cell): &(usize, &[usize])| {
         let corners: Vec<Vec3> = cell.iter().map(|&n| mesh.nodes[n]).collect();
         let free = cell.iter().any(|&n| !mesh.clamped[n]);
-        let any = |xi: &Vec3| body.at(mesh.kind.place(&corners, *xi).0).mu != 0.0;
+        let any = |xi: &Vec3| body.at(mesh.kind.place(&corners, *xi).0, *number).mu != 0.0;
         free && points.iter().any(any)
     };
-    let cells = mesh.cells.chunks_exact(mesh.kind.nodes()).filter(answers);
-    elements(
-        mesh.kind,
-        &cells.flatten().copied().collect::<Vec<_>>(),
-        &mesh.nodes,
-        body,
-    )
+    let cells = mesh.each_cell().enumerate().filter(answers);
+    elements(mesh.kind, cells, &mesh.nodes, body)
 }
 
 fn forces(solid: &Solid, elements: &[Box<dyn Element>], x: &[Vec3]) -> Vec<f64> {

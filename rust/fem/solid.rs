@@ -88,7 +88,7 @@ impl Solid {
 
     /// Any mesh with cables bound to it.
     pub fn new(mesh: Mesh, cables: Vec<Cable>, body: &Body) -> Result<Solid> {
-        let mut elements = elements(mesh.kind, &mesh.cells, &mesh.nodes, body)?;
+        let mut elements = elements(mesh.kind, mesh.each_cell().enumerate(), &mesh.nodes, body)?;
         let mut volume = vec![0.0; mesh.nodes.len()];
         for element in &elements {
             for (&n, share) in element.nodes().iter().zip(element.share()) {

@@ -25,8 +25,9 @@ type Bends<'py> = (
     Bound<'py, PyArray2<f64>>,
 );
 
-/// A region of another modulus: box (low, high) mm, the angle its side faces (rad) or None, modulus MPa.
-type Boxed = (Vec3, Vec3, Option<f64>, f64);
+/// A region of another modulus: box (low, high) mm, the angle its side faces (rad) or None, modulus MPa, and whether it
+/// holds each cell, None for all.
+type Boxed = (Vec3, Vec3, Option<f64>, f64, Option<Vec<bool>>);
 
 /// A tendon by points (n, 3) mm, or by (angle, turn, (z, radius) pairs) in rad and mm.
 #[derive(FromPyObject)]
@@ -66,11 +67,19 @@ impl Solid {
         tolerance: f64,
         change: Vec<(String, f64)>,
     ) -> PyResult<Solid> {
-        let region = |(low, high, side, young): Boxed| Region {
-            low,
-            high,
-            side,
-            young,
+        let count = mesh.mesh.each_cell().count();
+        let region = |(low, high, side, young, cells): Boxed| match cells {
+            Some(cells) if cells.len() != count => Err(invalid(format!(
+                "a region of {} cells, the mesh has {count}; mark each of its cells",
+                cells.len()
+            ))),
+            cells => Ok(Region {
+                low,
+                high,
+                side,
+                cells: cells.map(Into::into),
+                young,
+            }),
         };
         let route = |way| match way {
             Way::Formula((angle, turn, path)) => Route::Formula {
@@ -86,7 +95,7 @@ impl Solid {
                 young,
                 poisson,
                 density,
-                regions.into_iter().map(region).collect(),
+                regions.into_iter().map(region).collect::<Result<_, _>>()?,
             )?,
             cable_stiffness,
             pretension,

@@ -41,6 +41,8 @@ def build(args: argparse.Namespace) -> int:
     """Simulate a finger, or take a sweep that was made before, and write the bundle."""
     _check_steps(args.steps)
     check_bundle(args.out, args.force)
+    if args.finger is not None and Path(args.finger).suffix in (".mcap", ".db3", ".bag"):
+        raise SoftmapError(f"{args.finger}: a recording; a model is learned from recordings with `softmap learn`")
     made, how = None, "another mesh, modulus ±10 %"
     with Bar(args.json) as bar:
         if args.finger is not None and Path(args.finger).suffix == ".npz":
@@ -72,8 +74,8 @@ def build(args: argparse.Namespace) -> int:
         f"command{'s' if commands != 1 else ''}, own held-out error {model.vertex_error_mm:.2f} mm RMS ({how}), "
         f"{size / 1000:.0f} kB"
     )
-    notes = [] if args.json else model.made_from.get("notes", [])
-    print(json.dumps(result) if args.json else "\n".join([text, *(f"  {note}" for note in notes)]))
+    notes, mark = model.made_from.get("notes", []), "look at: " if made is None else ""
+    print(json.dumps(result | {"notes": notes}) if args.json else "\n".join([text, *(f"  {mark}{n}" for n in notes)]))
     return 0
 
 
@@ -169,8 +171,8 @@ def sweep_arguments(parser: argparse.ArgumentParser) -> None:
 
 def sweep(args: argparse.Namespace) -> int:
     """Simulate a grid of commands and write commands and vertices."""
-    from softmap_edge.solid.build import grid_axes, handles_of
-    from softmap_edge.solid.simulator import Simulator
+    from softmap_edge.solid.build import grid_axes, handles_of, simulator_of
+    from softmap_edge.solid.doubts import doubts, lost_in_tendons
 
     _check_steps(args.steps)
     if Path(args.out).suffix == ".zarr":
@@ -181,13 +183,15 @@ def sweep(args: argparse.Namespace) -> int:
     check_no_run("--out", args.out)
     finger = _finger(args.finger)
     axes = grid_axes(finger, args.steps)
-    simulator = Simulator(finger)
+    simulator = simulator_of(finger)
     handles_of(finger, simulator.template.vertices)  # `build` would refuse its sweep
     with Bar(args.json) as bar:
         result = simulator.sweep(axes, progress=lambda share: bar("sweep", share))
     result.save(Path(args.out))
     document = {"schema": "softmap.sweep/1", "sweep": str(args.out), "commands": len(result.command), "failed": 0}
-    print(json.dumps(document) if args.json else f"{args.out}: {len(result.command)} commands, none failed")
+    notes = [*doubts(finger), *filter(None, [lost_in_tendons(finger, result.command, result.pull)])]
+    text = "\n".join([f"{args.out}: {len(result.command)} commands, none failed", *(f"  look at: {n}" for n in notes)])
+    print(json.dumps(document | {"notes": notes}) if args.json else text)
     return 0
 
 
@@ -232,14 +236,17 @@ def export_arguments(parser: argparse.ArgumentParser) -> None:
 
 def export(args: argparse.Namespace) -> int:
     """Write the scene of a finger for another simulator."""
+    from softmap_edge.solid.doubts import doubts
     from softmap_edge.solid.sofa import write_sofa_scene
 
     check_file("--sofa", args.sofa, ".py")
     finger = _finger(args.finger)
     write_sofa_scene(finger, args.sofa)
+    notes = doubts(finger)
     document = {"schema": "softmap.export/1", "scene": str(args.sofa), "finger": finger.name, "run_here": False}
     text = f"{args.sofa}: SofaPython3 scene of {finger.name}; its syntax is checked, it was not run here"
-    print(json.dumps(document) if args.json else text)
+    text = "\n".join([text, *(f"  look at: {note}" for note in notes)])
+    print(json.dumps(document | {"notes": notes}) if args.json else text)
     return 0
 
 

@@ -7,6 +7,7 @@ import json
 
 from softmap_edge.commands.output import check_file, check_no_run
 from softmap_edge.commands.own import effects_argument, load_own, open_model
+from softmap_edge.errors import RegistrationError
 from softmap_edge.registration.clouds import read_clouds
 from softmap_edge.registration.register import TOLD
 from softmap_edge.registration.register import register as lay
@@ -17,7 +18,9 @@ POOR = 1  # exit code where a frame has warnings
 def register_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `register`."""
     parser.add_argument(
-        "clouds", nargs="+", help="a run with clouds (.npz), or one cloud a frame (.ply, .csv, .npz), mm"
+        "clouds",
+        nargs="+",
+        help="a run with clouds (.npz), or one cloud a frame (PLY, PCD, CSV, XYZ, OBJ, NPY, NPZ), mm",
     )
     parser.add_argument("--bundle", metavar="DIR", help="the model of this finger; the built-in finger without it")
     effects_argument(parser)
@@ -35,7 +38,10 @@ def register(args: argparse.Namespace) -> int:
     load_own(args)
     notes: list[str] = []
     model, run = open_model(args.bundle), read_clouds(args.clouds, notes)
-    found = lay(model, run, args.mode)
+    try:
+        found = lay(model, run, args.mode)
+    except RegistrationError as fault:  # a guess of columns may be the reason
+        raise RegistrationError("; ".join([str(fault), *notes[:TOLD]])) from None
     vertices = found.run(run)
     vertices.save(args.out)
     if args.json:

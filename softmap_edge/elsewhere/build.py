@@ -30,8 +30,8 @@ from softmap_edge.features import tip_of
 from softmap_edge.model import NOMINAL, Arrays, Model
 from softmap_edge.safety import derived
 from softmap_edge.shape_arrays import family_from, fields_from
-from softmap_edge.solid.build import FIELD_STEPS, Progress, from_sweep, leading
-from softmap_edge.solid.simulator import Simulator, Sweep, tensor_grid
+from softmap_edge.solid.build import FIELD_STEPS, Progress, from_sweep, leading, simulator_of
+from softmap_edge.solid.simulator import Sweep, tensor_grid
 
 Floats = NDArray[np.float64]
 Errors = list[tuple[Floats, Floats]]  # coefficients left out (n, m), and what the modes do not hold (n, M)
@@ -73,7 +73,7 @@ def _as_from_its_finger(path: Path, report: Progress) -> Model:
             f"{path.name}: made under gravity {sweep.gravity.tolist()} and a tip force of {sweep.tip_force.tolist()} "
             f"N, its finger hangs under {list(sweep.finger.gravity)} without; make it with `softmap sweep finger.toml`"
         )
-    return from_sweep(sweep.finger, Simulator(sweep.finger), sweep, report)
+    return from_sweep(sweep.finger, simulator_of(sweep.finger), sweep, report)
 
 
 def model_from_shapes(sweep: ShapeSweep, source: dict[str, Any] | None = None, progress: Progress = PROGRESS) -> Model:

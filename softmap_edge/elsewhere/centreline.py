@@ -35,6 +35,7 @@ NEIGHBOURS = 8
 FAR = 0.5  # of the body's extent: points all farther from the base than this do not begin there
 DEGREE, SIDE_DEGREE, CURVE_DEGREE, RADIUS_DEGREE = 8, 3, 4, 2
 ROUNDS = 15
+ONE_PLACE = 1e-6  # mm; rounding moves points by less
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,7 +93,7 @@ def find_centreline(rest: Floats, base: Floats) -> Centreline:
     """
     extent = float(np.linalg.norm(np.ptp(rest, axis=0)))
     nearest = float(np.linalg.norm(rest - base, axis=1).min())
-    if extent <= 0.0 and nearest <= 0.0:
+    if extent <= ONE_PLACE and nearest <= ONE_PLACE:
         raise SoftmapError("all points of the body at rest lie in one place, at its base; give points along the body")
     if len(rest) >= CHAIN and nearest > FAR * extent:
         raise SoftmapError(

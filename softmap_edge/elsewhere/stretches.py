@@ -61,6 +61,8 @@ def _curvature(stations: Floats) -> tuple[Floats, Floats]:
     length = np.maximum(np.linalg.norm(chord, axis=2), 1e-12)
     tangent = chord / length[..., None]
     frames = carried(tangent)
+    if chord.shape[1] < 2:  # one point beyond the base shows no bend
+        return frames, np.zeros((len(stations), stations.shape[1], 3))
     turn = np.cross(tangent[:, :-1], tangent[:, 1:])
     sine = np.clip(np.linalg.norm(turn, axis=2), 1e-12, 1.0)
     turn *= (np.arcsin(sine) / sine / (0.5 * (length[:, :-1] + length[:, 1:])))[..., None]

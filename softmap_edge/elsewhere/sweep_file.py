@@ -93,6 +93,8 @@ def _checked(content: Mapping[str, NDArray[np.generic]]) -> ShapeSweep:
     if schema != SCHEMA:
         raise SweepError(f"schema {schema!r:.80}, expected {SCHEMA} or none")
     numbers = {name: _numbers(content, name) for name in _NUMBERS if name in content}
+    if "t_seen" in content and "vertices" not in content:
+        raise SweepError("it is a run; a model is learned from runs with `softmap learn`, and built from a sweep")
     for name in ("command", "vertices"):
         if name not in numbers:
             raise SweepError(f"`{name}` is missing; a sweep holds command (S, C) and vertices (S, N, 3) in mm")
@@ -196,8 +198,11 @@ def _ranges(numbers: Mapping[str, Floats], unit: str) -> None:
             raise SweepError(
                 f"`{name}` reaches {float(np.abs(numbers[name]).max()):.4g} mm, at most {_PLACE:g} is plausible"
             )
-    extent = float(np.ptp(numbers["vertices"].reshape(-1, 3), axis=0).max())
-    if extent < 1.0:
+    places = numbers["vertices"].reshape(-1, 3)
+    if numbers["vertices"].shape[1] == 1:  # one point is as large as it is far from the base
+        places = np.vstack([places, numbers.get("base", np.zeros(3))])
+    extent = float(np.ptp(places, axis=0).max())
+    if 0.0 < extent < 1.0:
         raise SweepError(f"all `vertices` lie within {extent:.3g} mm, which looks like metres; multiply by 1000")
     most = float(np.abs(numbers["command"]).max(initial=0.0))
     if most > (1000.0 if unit == "mm" else 1e9):

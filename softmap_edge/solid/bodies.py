@@ -121,8 +121,8 @@ class Block:
 class Meshed:
     """A mesh file of tetrahedra, and how it lies in the base frame.
 
-    file: VTK or Gmsh · unit: of its coordinates · axes: which of the file's axes are x, y and z of the base frame, as
-    ("z", "x", "y") or with a minus · origin: the base frame's origin in the file's axes, mm · refine: how often each
+    file: VTK, VTU or Gmsh · unit: of its coordinates · axes: which of the file's axes are x, y and z of the base frame,
+    as ("z", "x", "y") or with a minus · origin: the base frame's origin in the file's axes, mm · refine: how often each
     cell is split into eight.
     """
 
@@ -134,7 +134,7 @@ class Meshed:
 
     def __post_init__(self) -> None:
         if not isinstance(self.file, str) or not 1 <= len(self.file) <= 1000 or not self.file.isprintable():
-            raise FingerError("mesh.file: expected the name of a VTK or Gmsh file, relative to this file")
+            raise FingerError("mesh.file: expected the name of a VTK, VTU or Gmsh file, relative to this file")
         if not isinstance(self.unit, str) or self.unit not in _UNITS:
             raise FingerError(f"mesh.unit: {shown(self.unit)}; allowed are {', '.join(_UNITS)}")
         check_vector("mesh.origin_mm", self.origin, -1e5, 1e5, "give a point of the file's frame in mm")
@@ -152,10 +152,23 @@ class Meshed:
 
     def cells(self, ends: Sequence[float]) -> _core.Mesh:
         """Read the file and return its cells. Raises FingerError, CoreError with one line for a bad mesh."""
-        from softmap_edge.solid.mesh_file import read_tetrahedra
+        from softmap_edge.solid.mesh_file import read_mesh
 
-        points, tetrahedra = read_tetrahedra(Path(self.file))
-        return _core.Mesh.tetrahedra(self.place(points), tetrahedra, self.refine)
+        mesh = read_mesh(Path(self.file))
+        return _core.Mesh.tetrahedra(self.place(mesh.points), mesh.cells, self.refine)
+
+    def nodes(self) -> Floats:
+        """Return the nodes (n, 3) mm of the file in the base frame. Raises FingerError."""
+        from softmap_edge.solid.mesh_file import read_mesh
+
+        return self.place(read_mesh(Path(self.file)).points)
+
+    def groups(self) -> dict[str, NDArray[np.bool_]]:
+        """Return which cells (E,) of the refined mesh each group of the file holds, by name. Raises FingerError."""
+        from softmap_edge.solid.mesh_file import read_mesh
+
+        groups = read_mesh(Path(self.file)).groups
+        return {name: np.repeat(inside, 8**self.refine) for name, inside in groups.items()}
 
     def other_mesh(self) -> Meshed:
         """Return the same solid with each cell split into eight."""

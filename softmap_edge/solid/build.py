@@ -16,13 +16,14 @@ from numpy.typing import NDArray
 
 from softmap_edge import __version__, _core
 from softmap_edge.errors import FingerError, SoftmapError
-from softmap_edge.features import SECTIONS, tip_of
+from softmap_edge.features import SECTIONS, sections_of, tip_of
 from softmap_edge.model import Arrays, Model
 from softmap_edge.npz import packed, unpacked
 from softmap_edge.run import Run
 from softmap_edge.safety import derived
 from softmap_edge.shape_arrays import cables_from, fields_from, pairs_of, plain_table, second_from, table_from
 from softmap_edge.solid.bodies import Meshed
+from softmap_edge.solid.doubts import doubts, lost_in_tendons
 from softmap_edge.solid.finger import Finger
 from softmap_edge.solid.simulator import Bend, Compliance, Simulator, Sweep, tensor_grid
 
@@ -57,12 +58,30 @@ def build_model(
     for a bad argument.
     """
     report: Progress = progress or (lambda what, share: None)
-    simulator = Simulator(finger)
+    simulator = simulator_of(finger)
     grid_axes(finger, steps)
     handles_of(finger, simulator.template.vertices)
     Simulator(finger.other_mesh())  # the form error needs it: what cannot be built is refused before the sweep
     sweep = simulator.sweep(grid_axes(finger, steps), progress=lambda share: report("sweep", share))
     return from_sweep(finger, simulator, sweep, report, modes)
+
+
+def simulator_of(finger: Finger) -> Simulator:
+    """Return the simulator of a finger, whose vertices lie all along the body where that can be had.
+
+    Of a coarse mesh file they are those of the mesh refined.
+
+    Raises:
+        FingerError: the finger cannot be built.
+    """
+    simulator, solid = Simulator(finger), finger.solid
+    while isinstance(solid, Meshed) and len(np.unique(sections_of(simulator.template.vertices))) < SECTIONS:
+        try:
+            solid = solid.other_mesh()
+            simulator = Simulator(finger, template=Simulator(finger.replace(solid=solid)).template)
+        except FingerError:  # it cannot be finer; what needs the vertices says so
+            break
+    return simulator
 
 
 def grid_axes(finger: Finger, steps: int | None = None) -> list[Floats]:
@@ -85,6 +104,7 @@ def _axis(low: float, high: float, count: int, graded: bool) -> Floats:
 def from_sweep(finger: Finger, simulator: Simulator, sweep: Sweep, report: Progress, modes: int = MODES) -> Model:
     """Compress a sweep of `finger` to a table model, add its fields and measure its form error."""
     rest, triangles = simulator.template.vertices, simulator.template.triangles
+    notes = [*doubts(finger), *filter(None, [lost_in_tendons(finger, sweep.command, sweep.pull)])]
     prior = compress(sweep.vertices.reshape(len(sweep.command), -1), modes)
     prior |= {f"axis{c}": np.asarray(axis) for c, axis in enumerate(sweep.axes)}
     prior |= packed("pull", sweep.pull, PULL_STEP, np.int16)
@@ -126,6 +146,7 @@ def from_sweep(finger: Finger, simulator: Simulator, sweep: Sweep, report: Progr
             "finger": finger.name,
             "steps": len(sweep.axes[0]) if sweep.axes else 1,
             "modes": modes,
+            **({"notes": notes} if notes else {}),
         },
         arrays={"prior": prior, "fields": fields},
     )

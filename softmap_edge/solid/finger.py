@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from softmap_edge.errors import FingerError, brief
-from softmap_edge.solid.bodies import Solid, solid_from
+from softmap_edge.solid.bodies import Meshed, Solid, solid_from
 from softmap_edge.solid.numbers import (
     Pairs,
     Vector,
@@ -96,7 +96,8 @@ class Finger:
                 f"gravity_g: {shown(self.gravity)} is {strength:.3g} g; count in g, not in m/s2: [0, 0, 1] hangs"
             )
         if 0 < self.density_kg_m3 < 10:
-            raise FingerError(f"density_kg_m3: {self.density_kg_m3:g} looks like g/cm3; multiply by 1000")
+            unit, factor = next((u, f) for u, f in _DENSITIES.items() if self.density_kg_m3 * f >= 100 or f == 1e12)
+            raise FingerError(f"density_kg_m3: {self.density_kg_m3:g} looks like {unit}; multiply by {factor:g}")
         if len(self.tendons) > 16 or len(self.regions) > 100:
             raise FingerError(
                 f"{len(self.tendons)} tendons and {len(self.regions)} regions, allowed are at most 16 and 100"
@@ -105,6 +106,10 @@ class Finger:
             tendon.check(f"tendon[{number}]", self.solid, (self.guide_ring_mm, self.anchor_disc_mm))
         for number, region in enumerate(self.regions):
             region.check(f"region[{number}]")
+            if region.name is not None and not isinstance(self.solid, Meshed):
+                raise FingerError(
+                    f"region[{number}].name: only the cells of a [mesh] file have names; give a box in mm"
+                )
         check_commands(self.pairs, self.command_range, self.command_unit, len(self.tendons), self.solid.height_mm)
         self._check_bounds()
 
@@ -194,6 +199,7 @@ class Finger:
                 )
 
 
+_DENSITIES = {"g/cm3": 1e3, "g/mm3": 1e6, "kg/mm3": 1e9, "t/mm3": 1e12}  # other units, and what makes kg/m3 of them
 _MOST_TEXT = 1_000_000  # characters of a file; the template has 3000
 _MOST_HANDLES = 50_000  # a bundle has no more vertices
 _RANGES = [

@@ -1,14 +1,14 @@
-"""Read the tetrahedra of a mesh file (legacy VTK or Gmsh) with meshio. Data only; nothing in it is ever run.
+"""Read the tetrahedra of a mesh file (VTK, VTU or Gmsh) and its groups of cells. Data only; nothing in it is ever run.
 
-meshio parses; whatever it stumbles over becomes one line. The core checks the mesh itself (rust/fem/tetrahedra.rs).
+meshio parses in a child process with a limit on memory and time (foreign_mesh.py); whatever it stumbles over becomes
+one line. The core checks the mesh itself (rust/fem/tetrahedra.rs).
 """
 
 from __future__ import annotations
 
-import io
 import json
-import warnings
-from contextlib import redirect_stderr, redirect_stdout
+from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -16,35 +16,55 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.errors import FingerError, brief
+from softmap_edge.in_child import ChildFault, in_child
+from softmap_edge.solid.foreign_mesh import kind_of, parse
 
 _MOST_BYTES = 64 << 20  # of a mesh file; 60 000 tetrahedra take 4 MB
 _MOST_TEXT = 1 << 20  # of a file of guides
 _FARTHEST = 1e9  # of any unit: beyond any finger, and far from where float64 overflows
-_KINDS = ("tetra", "tetra10")
+_KINDS = {"vtk": "legacy VTK", "vtu": "VTU", "msh": "Gmsh's MSH"}
+_MEGABYTES, _SECONDS = 800, 60.0  # of the child that parses
 
 
-def read_tetrahedra(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Return the nodes (n, 3) of a mesh file, in its own frame and unit, and its tetrahedra (E, 4) or (E, 10).
-
-    Raises FingerError when the file is no mesh, meshio is absent, or there are no tetrahedra of one kind.
+@dataclass(frozen=True, eq=False)
+class MeshFile:
+    """What a mesh file holds: nodes (n, 3) in its own frame and unit, tetrahedra (E, 4) or (E, 10), and `groups`: which
+    of the cells (E,) each material, physical volume or label of the file holds, by name; none of a single material.
     """
-    _check(path, _MOST_BYTES, "a mesh; give a VTK (.vtk) or Gmsh (.msh) file")
+
+    points: NDArray[np.float64]
+    cells: NDArray[np.int64]
+    groups: dict[str, NDArray[np.bool_]]
+
+
+def read_mesh(path: Path) -> MeshFile:
+    """Return the tetrahedra of a mesh file and its groups of cells.
+
+    Raises:
+        FingerError: the file is no mesh, meshio is absent, or there are no tetrahedra of one kind.
+    """
+    _check(path, _MOST_BYTES, "a mesh; give a VTK (.vtk, .vtu) or Gmsh (.msh) file")
+    stat = path.stat()
+    return _read(path, stat.st_mtime_ns, stat.st_size, stat.st_ino)
+
+
+@lru_cache(maxsize=4)  # a build asks several times
+def _read(path: Path, *_state: int) -> MeshFile:
     mesh = _parsed(path)
-    blocks = {kind: [b.data for b in mesh.cells if b.type == kind] for kind in _KINDS}
-    there = {kind: found for kind, found in blocks.items() if found}
+    there, points = mesh["cells"], mesh["points"]
     if len(there) != 1:
-        types = ", ".join(sorted({str(b.type) for b in mesh.cells})[:8]) or "nothing"
+        types = ", ".join(mesh["types"][:8]) or "nothing"
         raise FingerError(
             f"{path}: holds {types}; expected tetrahedra of 4 or of 10 nodes, all alike: mesh the volume and save it"
         )
-    points = np.asarray(mesh.points)
-    cells = np.concatenate(next(iter(there.values())))
+    cells = next(iter(there.values()))
     if points.ndim != 2 or points.shape[1] != 3 or points.dtype.kind not in "fiu" or cells.dtype.kind not in "iu":
         raise FingerError(f"{path}: points of shape {points.shape}, expected (n, 3) numbers; export it again")
     if not np.all(np.abs(points) < _FARTHEST):
         raise FingerError(f"{path}: a point beyond ±{_FARTHEST:g} or not a number; export it again")
     _check_joined(path, np.asarray(points, np.float64), cells)
-    return np.ascontiguousarray(points, np.float64), np.ascontiguousarray(cells, np.int64)
+    nodes, corners = np.ascontiguousarray(points, np.float64), np.ascontiguousarray(cells, np.int64)
+    return MeshFile(nodes, corners, mesh["groups"])
 
 
 def _check_joined(path: Path, points: NDArray[np.float64], cells: NDArray[np.int64]) -> None:
@@ -85,25 +105,20 @@ def _check(path: Path, most: int, what: str) -> None:
         raise FingerError(f"{path}: {size} bytes, at most {most} are read as {what}")
 
 
-def _parsed(path: Path) -> Any:
+def _parsed(path: Path) -> dict[str, Any]:
+    """Return what `parse` found in a child process; any failure of a foreign parser means the same here."""
     try:
-        import meshio
+        import meshio  # noqa: F401  # here, so that the child has it
     except ImportError:
         raise FingerError("mesh files need meshio: pip install 'softmap-edge[mesh]'") from None
-    # The readers themselves: meshio.read ends the process where it finds no reader.
-    readers = {".vtk": meshio.vtk.read, ".msh": meshio.gmsh.read}
-    if path.suffix.lower() not in readers:
-        raise FingerError(f"{path}: known are {' and '.join(readers)}; save the mesh as one of them")
     try:
-        # It also talks: to the terminal, in colours.
-        with warnings.catch_warnings(), redirect_stdout(io.StringIO()), redirect_stderr(io.StringIO()):
-            warnings.simplefilter("ignore")
-            mesh = readers[path.suffix.lower()](str(path))
-        if not isinstance(mesh, meshio.Mesh):
-            raise ValueError(f"no mesh in it, {type(mesh).__name__}")
-        return mesh
-    # A parser of text formats may fail in any way on a damaged file; all of them mean the same here.
-    except (Exception, SystemExit) as error:
+        kind = kind_of(path)
+    except (OSError, ValueError) as error:
         raise FingerError(
-            f"{path}: cannot be read as {path.suffix} ({type(error).__name__}: {brief(error)}); export it again"
+            f"{path}: {error}; meshes are read as VTK (.vtk, .vtu) or Gmsh (.msh): save it as one of them"
         ) from None
+    try:
+        parsed: dict[str, Any] = in_child(parse, str(path), kind, megabytes=_MEGABYTES, seconds=_SECONDS)
+    except ChildFault as error:
+        raise FingerError(f"{path}: cannot be read as {_KINDS[kind]} ({brief(error)}); export it again") from None
+    return parsed

@@ -21,6 +21,7 @@ from softmap_edge import __version__, _core
 from softmap_edge.errors import FingerError, SimulationError, SoftmapError, brief
 from softmap_edge.npz import read_npz, write_npz
 from softmap_edge.solid.finger import Finger
+from softmap_edge.solid.groups import named_cells
 
 Floats = NDArray[np.float64]
 Progress = Callable[[float], None]
@@ -187,7 +188,7 @@ class Simulator:
                 young=finger.young_mpa,
                 poisson=finger.poisson,
                 density=finger.density_kg_m3,
-                regions=[region.boxed() for region in finger.regions],
+                regions=[region.boxed(cells) for region, cells in zip(finger.regions, named_cells(finger))],
                 cable_stiffness=finger.cable_stiffness_n_mm,
                 ring=finger.guide_ring_mm,
                 disc=finger.anchor_disc_mm,

@@ -27,6 +27,7 @@ from softmap_edge.solid.numbers import (
     rows,
     shown,
 )
+from softmap_edge.toml_table import quoted
 
 Formula = tuple[float, float, list[tuple[float, float]]]
 
@@ -109,7 +110,8 @@ class Tendon:
 
 @dataclass(frozen=True)
 class Region:
-    """Where the modulus is another: a box in mm (None: all along an axis), or its half that faces `side_deg`.
+    """Where the modulus is another: a box in mm (None: all along an axis), or its half that faces `side_deg`, or what
+    of these lies in the cells that a mesh file groups by `name` (a physical volume, a material id).
 
     The last region that holds a place decides.
     """
@@ -119,6 +121,7 @@ class Region:
     y: tuple[float, float] | None = None
     z: tuple[float, float] | None = None
     side_deg: float | None = None
+    name: str | None = None
 
     def check(self, field: str) -> None:
         """Raises FingerError."""
@@ -129,8 +132,14 @@ class Region:
                 raise FingerError(f"{field}.{axis}_mm: {shown(limits)}; expected [low, high] in mm, as [20.0, 40.0]")
         if self.side_deg is not None:
             check_number(f"{field}.side_deg", self.side_deg, -360, 360, "give the angle about z that the side faces")
-        if self.side_deg is None and self.x is None and self.y is None and self.z is None:
-            raise FingerError(f"{field}: give at least one of x_mm, y_mm, z_mm, side_deg; or set material.young_mpa")
+        if self.name is not None and not (isinstance(self.name, str) and 0 < len(self.name) <= 100):
+            raise FingerError(
+                f"{field}.name: {shown(self.name)}; expected the name of a group of the mesh file's cells"
+            )
+        if all(limit is None for limit in (self.name, self.side_deg, self.x, self.y, self.z)):
+            raise FingerError(
+                f"{field}: give at least one of x_mm, y_mm, z_mm, side_deg, name; or set material.young_mpa"
+            )
 
     def check_meets(self, field: str, low: Sequence[float], high: Sequence[float]) -> None:
         """Refuse a region that lies outside a solid from corner `low` to `high` mm. Raises FingerError."""
@@ -142,15 +151,16 @@ class Region:
                     "region holds nothing"
                 )
 
-    def boxed(self) -> tuple[Vector, Vector, float | None, float]:
-        """Return the region as the core takes it: low and high corner mm, side rad, modulus MPa."""
+    def boxed(self, cells: list[bool] | None = None) -> tuple[Vector, Vector, float | None, float, list[bool] | None]:
+        """Return the region as the core takes it: low and high corner mm, side rad, modulus MPa, cells if named."""
         (x0, x1), (y0, y1), (z0, z1) = (limits or (-inf, inf) for limits in (self.x, self.y, self.z))
         side = None if self.side_deg is None else radians(self.side_deg)
-        return (x0, y0, z0), (x1, y1, z1), side, self.young_mpa
+        return (x0, y0, z0), (x1, y1, z1), side, self.young_mpa, cells
 
     def to_toml(self) -> str:
         """Return the region's table."""
         lines = [f"\n[[region]]\nyoung_mpa = {float(self.young_mpa)!r}"]
+        lines += [] if self.name is None else [f"name = {quoted(self.name)}"]
         lines += [f"{a}_mm = {listed(getattr(self, a))}" for a in "xyz" if getattr(self, a) is not None]
         return "\n".join(lines + ([f"side_deg = {float(self.side_deg)!r}"] if self.side_deg is not None else []))
 
@@ -205,9 +215,9 @@ def tendon_from(table: Mapping[str, Any], solid: Solid, folder: Path) -> Tendon:
 
 def region_from(table: Mapping[str, Any]) -> Region:
     """Return the region of a table. Raises FingerError."""
-    check_keys("region", table, ("young_mpa",), ("x_mm", "y_mm", "z_mm", "side_deg"))
+    check_keys("region", table, ("young_mpa",), ("x_mm", "y_mm", "z_mm", "side_deg", "name"))
     limits = {axis: rows("region", [table[f"{axis}_mm"]])[0] for axis in "xyz" if f"{axis}_mm" in table}
-    return Region(table["young_mpa"], side_deg=table.get("side_deg"), **limits)
+    return Region(table["young_mpa"], side_deg=table.get("side_deg"), name=table.get("name"), **limits)
 
 
 def unit_of(tables: Sequence[Mapping[str, Any]]) -> str:
