@@ -72,7 +72,7 @@ def guess_mapping(paths: Sequence[str | os.PathLike[str]]) -> Guess:
     """
     files = [Path(path) for path in paths]
     sheets, found = read_sheets(files), Found()
-    rows = max(len(sheet.numbers) for sheet in sheets)
+    rows = max((len(sheet.numbers) for sheet in sheets), default=0)
     if rows < 2:
         names = ", ".join(path.name for path in files)
         raise RunError(f"{names}: {rows} row{'s' * (rows != 1)} of numbers; give the log of a whole recording")
@@ -95,7 +95,7 @@ def guess_mapping(paths: Sequence[str | os.PathLike[str]]) -> Guess:
         line for sheet, time in zip(sheets, found.times.values()) for line in _left_out(sheet, time[0], found)
     ]
     frame = [] if found.points is None else _frame(sheets, found)
-    text = mapping_text(sheets, files, found, frame)
+    text = mapping_text(sheets, found, frame)
     head = [f"# Proposed from the header and the ranges of {', '.join(path.name for path in files)}; read every line."]
     head += [f"# ASSUMED  {line}" for line in found.assumed] + [f"# UNKNOWN  {line}" for line in found.unknown]
     text = "\n".join([*map(_one_line, head), text])

@@ -16,16 +16,23 @@ from numpy.typing import NDArray
 from softmap_edge.errors import RunError
 from softmap_edge.logs.mapping import LENGTH, TIME, UNITS
 from softmap_edge.logs.plausible import ROBOT
-from softmap_edge.logs.readers.mcap_file import open_mcap, topics
+from softmap_edge.logs.readers.arrays import ArrayColumns
+from softmap_edge.logs.readers.columns import Columns
+from softmap_edge.logs.readers.kinds import RECORDINGS
+from softmap_edge.logs.readers.mcap_file import Topic
+from softmap_edge.logs.readers.parquet_log import EPISODE, open_parquet
 from softmap_edge.logs.readers.text import TextColumns
+from softmap_edge.logs.sources import Part, called, groups_of, open_recording, parts_of, pattern_of, topics_of
 from softmap_edge.logs.table import LARGEST, open_log
 
 Array = NDArray[np.float64]
 ROWS = 20_000  # of each log that are looked at
 MOST_COLUMNS = 4096  # of each log: names are compared by pairs
+_MOST_LENGTHS = 16  # tables of different lengths of one file of arrays
 _COUNTERS = re.compile(r"^(id|frame#?|index|idx|sample|row|count(er)?|nr|no|n|#|)$", re.IGNORECASE)
 _TIMES = re.compile(r"^t$|time|stamp|clock|^sec|^t_|_t$", re.IGNORECASE)
 _LABELS = re.compile(r"block|label|segment|trial|phase|pattern|part|condition|experiment", re.IGNORECASE)
+_PLACES = re.compile(r"marker|point|(^|[._])tip($|_)|xyz|mocap|optitrack|vicon|place|end_?effector", re.IGNORECASE)
 _NO_POINT = re.compile(r"rot|orient|quat|vel|acc|gyr|force|torque|imu|mag|twist|unlabel", re.IGNORECASE)
 # Roles of groups of columns, the surest words first; each is tried on the name, and on the topic of a recording.
 ROLES: tuple[tuple[str, str], ...] = (
@@ -54,6 +61,9 @@ class Sheet:
     numbers: Array  # (rows, names); NaN in a column of text
     texts: dict[str, list[str]]
     header: bool = True
+    file: str = ""  # what `file` in a mapping says of it
+    indexed: bool = False  # brackets at the end of a name hold the number or name of an element
+    episode: int | None = None  # of a dataset
 
     def column(self, name: str) -> Array:
         """Return the numbers of a column."""
@@ -81,37 +91,72 @@ def read_sheets(paths: list[Path]) -> list[Sheet]:
     Raises:
         RunError: a file cannot be read.
     """
-    sheets: list[Sheet] = []
-    for path in paths:
-        columns = None if path.suffix.lower() == ".mcap" else open_log(path)
-        if columns is None:
-            recorded = topics(path)
-            if not any(topic.readable for topic in recorded):
-                named = ", ".join(f"{topic.name} ({topic.type})" for topic in recorded)[:200] or "none"
-                raise RunError(
-                    f"{path}: no topic holds messages in cdr of ros2msg, as rosbag2 writes; there are {named}"
-                )
-            for topic in recorded:
-                if topic.readable:
-                    held = open_mcap(path, topic.name, ROWS)
-                    numbers = np.where(np.abs(held.numbers) < LARGEST, held.numbers, np.nan)
-                    sheets.append(Sheet(path, topic.name, held.names, {}, numbers, {}))
-            continue
-        if len(columns.names) > MOST_COLUMNS:
-            raise RunError(
-                f"{path}: {len(columns.names)} columns, at most {MOST_COLUMNS} are looked at; name those of the robot "
-                "in a mapping by hand: docs/mapping.md lists its keys"
-            )
-        texts: dict[str, list[str]] = {}
-        if isinstance(columns, TextColumns):
-            texts = columns.texts(200)
-        places = [k for k, name in enumerate(columns.names) if name not in texts]
-        cells = columns.read(places, None, ROWS).numbers[:ROWS]
-        numbers = np.full((len(cells), len(columns.names)), np.nan)
-        numbers[:, places] = np.where(np.abs(cells) < LARGEST, cells, np.nan)
-        header = not isinstance(columns, TextColumns) or columns.header
-        sheets.append(Sheet(path, None, columns.names, dict(columns.units), numbers, texts, header))
+    return [sheet for group in groups_of(parts_of(paths)) for sheet in _sheets_of(group)]
+
+
+def _sheets_of(group: list[Part]) -> list[Sheet]:
+    """Return the sheets of one log: one, or one for each topic of a recording or each length of arrays."""
+    first = group[0]
+    if first.kind in RECORDINGS:
+        return _sheets_of_recording(group)
+    with called(first.file, first.path):
+        columns = open_parquet(first.file, first=True) if first.kind == "parquet" else open_log(first.file)
+        if isinstance(columns, ArrayColumns):
+            return [_sheet(first, columns, places) for places in columns.groups()[:_MOST_LENGTHS]]
+        return [_sheet(first, columns, list(range(len(columns.names))))]
+
+
+def _sheets_of_recording(group: list[Part]) -> list[Sheet]:
+    """Return a sheet for each topic that can be decoded."""
+    path = group[0].given if group[0].of_folder or len(group) == 1 else group[0].path.with_name(pattern_of(group))
+    recorded = {topic.name: topic for part in group for topic in topics_of(part) if topic.readable}
+    if not recorded:
+        raise _nothing_readable(path, [topic for part in group for topic in topics_of(part)])
+    sheets = []
+    for name in recorded:
+        held = open_recording(group, name, ROWS)
+        cells = held.read(list(range(len(held.names))), None, ROWS)
+        numbers = np.where(np.abs(cells.numbers) < LARGEST, cells.numbers, np.nan)
+        sheets.append(Sheet(path, name, held.names, {}, numbers, {}, file=pattern_of(group), indexed=True))
     return sheets
+
+
+def _nothing_readable(path: Path, recorded: list[Topic]) -> RunError:
+    """Return what says why no topic of a recording can be read."""
+    named = ", ".join(f"{topic.name} ({topic.type})" for topic in recorded)[:200] or "none"
+    if not any(topic.count for topic in recorded):
+        return RunError(f"{path}: holds no message (topics: {named}); give the recording of a run")
+    return RunError(
+        f"{path}: no topic holds messages in cdr of ros2msg, as rosbag2 writes; there are {named}; convert the "
+        "recording where ROS knows its types: `ros2 bag convert` to MCAP"
+    )
+
+
+def _sheet(part: Part, columns: Columns, which: list[int]) -> Sheet:
+    """Return the first rows of some columns of a log."""
+    if len(which) > MOST_COLUMNS:
+        raise RunError(
+            f"{part.path}: {len(which)} columns, at most {MOST_COLUMNS} are looked at; name those of the robot "
+            "in a mapping by hand: docs/mapping.md lists its keys"
+        )
+    names = [columns.names[k] for k in which]
+    texts: dict[str, list[str]] = {}
+    if isinstance(columns, TextColumns):
+        texts = columns.texts(200)
+    if isinstance(columns, ArrayColumns):
+        texts = {columns.names[k]: columns.texts[k][:200] for k in which if k in columns.texts}
+    places = [k for k in which if columns.names[k] not in texts]
+    cells = columns.read(places, None, ROWS).numbers[:ROWS]
+    numbers = np.full((len(cells), len(names)), np.nan)
+    at = [which.index(k) for k in places]
+    numbers[:, at] = np.where(np.abs(cells) < LARGEST, cells, np.nan)
+    header = not isinstance(columns, TextColumns) or columns.header
+    arrays = isinstance(columns, ArrayColumns)
+    episode = int(numbers[0, names.index(EPISODE)]) if part.kind == "parquet" and EPISODE in names else None
+    file = pattern_of([part])
+    return Sheet(
+        part.given, None, names, dict(columns.units), numbers, texts, header, file, indexed=arrays, episode=episode
+    )
 
 
 # --- time ----------------------------------------------------------------------------------
@@ -189,12 +234,29 @@ def points_of(sheet: Sheet) -> list[list[str]]:
                     found.append(triple)
                     used |= set(triple)
                 break
+    found += _elements(sheet, used)
     stems = {triple[0].lower() for triple in found}
     if stems & {"x", "px"}:  # beside a place there are rates and forces: fx, vx, wx
         found = [triple for triple in found if not re.fullmatch(r"[afgmqtvw]x", triple[0].lower())]
     bodies = [triple for triple in found if triple[0].replace(".x", ".rotation.x") in sheet.names]
     others = [triple for triple in found if triple not in bodies]
     return bodies if len(bodies) > 1 else others or bodies
+
+
+def _elements(sheet: Sheet, used: set[str]) -> list[list[str]]:
+    """Return the places among arrays: of three columns without another meaning, or of 3 M by a name such as markers."""
+    if not sheet.indexed or sheet.topic is not None:
+        return []
+    arrays: dict[str, list[str]] = {}
+    for name in sheet.names:
+        if (found := re.fullmatch(r"(.*)\[\d+\]", name)) and name not in used and not _NO_POINT.search(name):
+            arrays.setdefault(found[1], []).append(name)
+    triples: list[list[str]] = []
+    for stem, names in arrays.items():
+        free = len(names) == 3 and not any(re.search(words, f"{stem.lower()}#") for _, words in ROLES)
+        if len(names) % 3 == 0 and (free or _PLACES.search(stem)):
+            triples += [names[k : k + 3] for k in range(0, len(names), 3)]
+    return triples
 
 
 def length_unit(points: Array, stated: str | None) -> tuple[str, str]:
@@ -218,7 +280,7 @@ def roles_of(sheet: Sheet, spent: set[str]) -> list[Role]:
     groups: dict[str, list[str]] = {}
     for name in sheet.names:
         if name not in spent and name not in sheet.texts and np.isfinite(sheet.column(name)).any():
-            stem = re.sub(r"\[[^\]]*\]$", "[#]", name) if sheet.topic else name
+            stem = re.sub(r"\[[^\]]*\]$", "[#]", name) if sheet.indexed else name
             stem = re.sub(r"(^|_)([a-dx-z]|left|right|up|down)(?=_|$)", "_#", re.sub(r"\d+", "#", stem.lower()))
             groups.setdefault(stem, []).append(name)
     roles: list[tuple[int, Role]] = []

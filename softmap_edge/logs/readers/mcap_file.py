@@ -120,7 +120,7 @@ def _messages(path: Path, notes: list[str]) -> Iterator[tuple[Any, Any, Any]]:
         from mcap.records import Channel, Chunk, Message, Schema
         from mcap.stream_reader import breakup_chunk
     except ImportError:
-        raise RunError(f"{path}: MCAP needs the package mcap; run pip install 'softmap-edge[capture]'") from None
+        raise RunError(f"{path}: MCAP needs the package mcap; run pip install 'softmap-edge[logs]'") from None
     channels: dict[int, Any] = {}
     schemas: dict[int, Any] = {}
     try:
