@@ -37,7 +37,7 @@ def import_arguments(parser: argparse.ArgumentParser) -> None:
         "logs",
         nargs="+",
         metavar="LOG",
-        help="the logs of one recording (CSV, TRC, C3D, MCAP, .db3, .mat, .npz, Parquet, …), or its folder: docs/files.md",
+        help="the logs of one recording (CSV, TRC, C3D, MCAP, .db3, .mat, .npz, Parquet), or its folder",
     )
     how = parser.add_mutually_exclusive_group(required=True)
     how.add_argument("--map", help="mapping file: docs/mapping.md lists its keys, examples/trunk.toml shows the form")

@@ -27,7 +27,7 @@ from softmap_edge.logs.frames import choose_frames, seen
 from softmap_edge.logs.held import unhold
 from softmap_edge.logs.mapping import ANGLE, LENGTH, Mapping, Quantity, read_mapping
 from softmap_edge.logs.plausible import doubts_of_both, doubts_of_rest, doubts_of_rows, doubts_of_time
-from softmap_edge.logs.sources import assign, open_parts, parts_of
+from softmap_edge.logs.sources import assign, named, open_parts, parts_of
 from softmap_edge.logs.table import LogTable, read_log
 from softmap_edge.run import SPOOL_RADIUS, Run
 
@@ -61,7 +61,8 @@ def import_logs(paths: Sequence[str | os.PathLike[str]], mapping: Mapping) -> Im
     parts = parts_of([Path(path) for path in paths])
     notes += [note for part in parts for note in part.notes]
     mapping, logs = assign(parts, mapping)
-    tables = [read_log(one.path, log, open_parts(one.parts, log)) for one, log in zip(logs, mapping.logs)]
+    with named(parts):
+        tables = [read_log(one.path, log, open_parts(one.parts, log)) for one, log in zip(logs, mapping.logs)]
     for one, table in zip(logs, tables):
         notes += [f"{one.label}: {note}" for note in table.notes]
     fields: dict[str, Any] = _timeless(mapping, notes)

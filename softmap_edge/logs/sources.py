@@ -10,7 +10,7 @@ import fnmatch
 import glob
 import re
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -92,7 +92,18 @@ def called(file: Path, path: Path) -> Iterator[None]:
     try:
         yield
     except RunError as fault:
+        if file == path:
+            raise
         raise RunError(str(fault).replace(str(file), str(path))) from None
+
+
+@contextmanager
+def named(parts: Sequence[Part]) -> Iterator[None]:
+    """Let a fault name the paths that the user knows, as `called` does, for all files."""
+    with ExitStack() as stack:
+        for part in parts:
+            stack.enter_context(called(part.file, part.path))
+        yield
 
 
 # --- opening -------------------------------------------------------------------------------

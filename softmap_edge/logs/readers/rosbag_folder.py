@@ -86,13 +86,13 @@ def named_files(text: str) -> list[str]:
 
 def _name(item: str) -> str:
     """Return the name of a file from a cell of YAML: plain or in quotes, the folder taken off."""
-    if item.startswith("'"):
-        text = item.strip("'").replace("''", "'")
-    elif item.startswith('"'):
+    if quoted := re.match(r"'((?:[^']|'')*)'", item):
+        text = quoted[1].replace("''", "'")
+    elif quoted := re.match(r'"(?:[^"\\]|\\.)*"', item):
         try:
-            text = str(json.loads(item))
+            text = str(json.loads(quoted[0]))
         except ValueError:
-            text = item.strip('"')
+            text = quoted[0].strip('"')
     else:
         text = item.split(" #")[0].strip()
     return re.split(r"[/\\]", text)[-1]
