@@ -231,8 +231,8 @@ def assign(parts: list[Part], mapping: Mapping) -> tuple[Mapping, list[Chosen]]:
     if len(logs) == 1 and len(parts) == 1:
         return mapping, [_chosen(parts)]
     chosen = [_fitting(parts, log, names, mapping) for log, names in zip(logs, patterns)]
-    used = {part.path for fits in chosen for part in fits}
-    spare = list(dict.fromkeys(_shown(part) for part in parts if part.path not in used))
+    used = {part.given for fits in chosen for part in fits}  # of a folder other logs, or none, may take the rest
+    spare = list(dict.fromkeys(part.given.name for part in parts if part.given not in used))
     named = ", ".join(pattern for names in patterns for pattern in names)
     again = [
         (tuple(part.path for part in fits), log.topic) for fits, log in zip(chosen, logs) if fits[0].kind not in ARRAYS
@@ -242,10 +242,6 @@ def assign(parts: list[Part], mapping: Mapping) -> tuple[Mapping, list[Chosen]]:
             f"{mapping.path}: {', '.join(spare) or 'one file'} fits no log of its own; the mapping has {named}"
         )
     return mapping, [_chosen(fits) for fits in chosen]
-
-
-def _shown(part: Part) -> str:
-    return part.given.name if part.of_folder else part.path.name
 
 
 def _chosen(parts: list[Part]) -> Chosen:

@@ -52,7 +52,7 @@ def open_npz(path: Path) -> ArrayColumns:
     except _FAULTS as fault:
         why = brief(fault) or type(fault).__name__
         raise RunError(f"{path}: is a damaged NumPy file ({why}); save it again") from None
-    if {"command_unit", "robot"} & {*arrays, *texts} and "t" in arrays and "t_seen" in arrays:
+    if "t" in arrays and any(entry.startswith("command_unit ") for entry in left_out):
         raise RunError(f"{path}: is a run already; `softmap check {path.name}` says what it can identify")
     if sum(array.size for array in arrays.values()) > MOST:
         raise RunError(f"{path}: holds more than {MOST} numbers; split the log")
