@@ -116,6 +116,9 @@ def test_structs_and_groups_give_paths(tmp_path, made, prefix):
     time = prefix.replace("signal.", "")
     run = imported([made(tmp_path)], mapping.replace('"t"', f'"{time}t"')).run
     assert run.command == pytest.approx(arrays()["u"]) and run.t == pytest.approx(arrays()["t"])
+    found = guess_mapping([made(tmp_path)])
+    again = imported([made(tmp_path)], found.text).run
+    assert again.command == pytest.approx(arrays()["u"]) and again.markers.shape == (80, 1, 3)
 
 
 def test_points_of_three_dimensions_have_axes():

@@ -170,7 +170,7 @@ def time_of(sheet: Sheet) -> tuple[str | None, str, str]:
             rising.append(name)
     for pattern in (_TIMES, _COUNTERS):
         for name in rising:
-            bare = re.sub(r"[\[(].*?[\])]", "", name).strip()
+            bare = re.sub(r"[\[(].*?[\])]", "", _last(sheet, name)).strip()
             if pattern.search(bare):
                 unit, why = _time_unit(sheet, name)
                 return name, unit, f"'{name}' rises throughout; {why}"
@@ -179,6 +179,12 @@ def time_of(sheet: Sheet) -> tuple[str | None, str, str]:
         called = f" '{rising[0]}'" if sheet.header else ""
         return rising[0], unit, f"the first column{called} rises throughout; {why}"
     return None, "rows", "no column tells time"
+
+
+def _last(sheet: Sheet, name: str) -> str:
+    """Return the last word of the path of an array: `u[0]` of `log.signal.u[0]`; another name as it is."""
+    found = re.fullmatch(r".*?([^.\[\]]+(\[[^\]]*\])*(\.[xyz])?)", name)
+    return found[1] if found and sheet.indexed and sheet.topic is None else name
 
 
 def _even(values: Array) -> bool:
@@ -253,8 +259,9 @@ def _elements(sheet: Sheet, used: set[str]) -> list[list[str]]:
             arrays.setdefault(found[1], []).append(name)
     triples: list[list[str]] = []
     for stem, names in arrays.items():
-        free = len(names) == 3 and not any(re.search(words, f"{stem.lower()}#") for _, words in ROLES)
-        if len(names) % 3 == 0 and (free or _PLACES.search(stem)):
+        last = _last(sheet, stem)
+        free = len(names) == 3 and not any(re.search(words, f"{last.lower()}#") for _, words in ROLES)
+        if len(names) % 3 == 0 and (free or _PLACES.search(last)):
             triples += [names[k : k + 3] for k in range(0, len(names), 3)]
     return triples
 
@@ -288,7 +295,10 @@ def roles_of(sheet: Sheet, spent: set[str]) -> list[Role]:
         bare = stem.replace("[#]", "#")
         if re.search(r"veloc|effort|accel", bare):
             continue
-        where = [(bare, f"called '{names[0]}'" + ("" if len(names) == 1 else f" to '{names[-1]}'"))]
+        last = _last(sheet, bare)
+        where = [(last, f"called '{names[0]}'" + ("" if len(names) == 1 else f" to '{names[-1]}'"))]
+        if last != bare:
+            where.append((bare, where[0][1]))
         if sheet.topic:
             where.insert(0, (sheet.topic.lower(), f"of topic {sheet.topic}"))
         for text, why in where:

@@ -55,7 +55,7 @@ class JoinedColumns:
         self._apart(order, times)
         cells = [read[k] for k in order]
         labels = None if label is None else np.concatenate([np.asarray(one.labels) for one in cells])
-        notes = [f"{self.parts[k][0]}: {note}" for k in order for note in read[k].notes]
+        notes = [_noted(self.parts[k][0], note) for k in order for note in read[k].notes]
         told = ", ".join(self.parts[k][0] for k in order)
         notes.insert(0, f"{len(order)} parts read one after another: {told[:400]}{self._pause(order, times)}")
         return Cells(
@@ -85,6 +85,11 @@ class JoinedColumns:
         pauses = [float(times[later].min() - times[k].max()) for k, later in zip(order, order[1:])]
         unit = "s" if self.clock == "log_time" else f"in {self.clock[:40]}"
         return f"; the longest pause between two is {max(pauses):.3g} {unit}" if pauses else ""
+
+
+def _noted(name: str, note: str) -> str:
+    """Say which part a note is about; a note of a type of its own stays what it is."""
+    return f"{name}: {note}" if type(note) is str else note
 
 
 def _read(columns: Columns, names: list[str], label: str | None, rows: int | None) -> Cells:

@@ -13,13 +13,13 @@ from pathlib import Path
 
 from softmap_edge.errors import RunError
 from softmap_edge.logs.lerobot import dataset_files, is_dataset
-from softmap_edge.whole_file import read_document
 
 METADATA = "metadata.yaml"
 _ENDINGS = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd", ".mcap.zst", ".db3.zst")
 _KEY = re.compile(r"^(?P<indent> *)relative_file_paths:[ \t]*(?P<rest>.*)$", re.MULTILINE)
 _ITEM = re.compile(r"^(?P<indent> *)-[ \t]+(?P<item>\S.*?)[ \t]*$")
 _MOST = 10_000  # entries of a folder
+_LONGEST = 2**24  # bytes of a metadata.yaml that are read
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ def files_of(folder: Path) -> Folder:
                 tuple(recordings), (f"{folder.name} has no {METADATA}: the recorder was interrupted, or it is lost",)
             )
         raise RunError(f"{folder}: a folder without a recording: {_what(folder, inside)}; give the path of a log")
-    names = named_files(read_document(folder / METADATA, RunError))
+    names = named_files(_text(folder / METADATA))
     files = [_present(folder, name) for name in names]
     absent = [name for name, file in zip(names, files) if file is None]
     if absent:
@@ -106,6 +106,14 @@ def _present(folder: Path, name: str) -> Path | None:
         if (folder / f"{name}{ending}").is_file():
             return folder / f"{name}{ending}"
     return None
+
+
+def _text(path: Path) -> str:
+    try:
+        with path.open("rb") as file:
+            return file.read(_LONGEST).decode("utf-8", "replace")
+    except OSError as cause:
+        raise RunError(f"{path}: cannot be read ({cause.strerror or cause}); copy the folder again") from cause
 
 
 def _inside(folder: Path) -> list[Path]:
