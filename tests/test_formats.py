@@ -80,6 +80,18 @@ def test_every_format_of_the_list_is_named_by_its_bytes(tmp_path):
             kind_of(tmp_path / f"log{k}.csv")
 
 
+@pytest.mark.parametrize("word", ["PAR1", "LOGGED", "RRF2", "BZh9", "ARROW1", "FEA1", "TDSm"])
+def test_a_column_that_is_called_as_a_format_begins_is_a_column(tmp_path, word):
+    (tmp_path / "log.csv").write_text(f"{word},t\n1,2\n3,4\n")
+    assert kind_of(tmp_path / "log.csv") == "csv"
+
+
+def test_an_archive_of_very_many_entries_is_refused_before_it_is_listed(tmp_path):
+    (tmp_path / "log.npz").write_bytes(archive([f"{k}.npy" for k in range(25_000)]))
+    with pytest.raises(RunError, match="too many entries or bytes to be a log"):
+        kind_of(tmp_path / "log.npz")
+
+
 def text(path):
     path.write_text("t,u\n0,1\n1,2\n")
     return path

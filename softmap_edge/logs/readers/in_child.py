@@ -12,6 +12,7 @@ import atexit
 import contextlib
 import importlib
 import json
+import math
 import os
 import resource
 import signal
@@ -32,9 +33,9 @@ from softmap_edge.errors import RunError, brief
 Array = NDArray[np.float64]
 MEMORY = 2**30  # bytes that a parser may take
 MOST = 2**25  # numbers of one file: a million rows of 32 columns, 256 MiB
-SECONDS = 6.0  # of processor time for a small file
+SECONDS = 2.5  # of processor time for a small file
 PER_SECOND = 2**22  # bytes of a file that a parser reads in a second, at least
-_PATIENCE = 5.0  # real time for each second of processor time: the computer may be busy
+_PATIENCE = 4.0  # real time for each second of processor time: the computer may be busy
 _HEAD = 2**26  # bytes of the head of an answer
 _OPTIONS = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "ARROW_DEFAULT_MEMORY_POOL": "system"}
 _OPTIONS |= {"HDF5_PLUGIN_PRELOAD": "::"}  # HDF5 loads no filter from outside its library
@@ -188,7 +189,7 @@ def _limit(seconds: float) -> None:
     most = pages * resource.getpagesize() + MEMORY
     for what, value in (
         (resource.RLIMIT_AS, most),
-        (resource.RLIMIT_CPU, int(seconds) + 1),
+        (resource.RLIMIT_CPU, math.ceil(seconds)),
         (resource.RLIMIT_FSIZE, 8 * MOST + _HEAD),
         (resource.RLIMIT_CORE, 0),
     ):

@@ -20,6 +20,9 @@ ARRAYS = ("npz", "npy", "mat", "hdf5", "parquet")
 PACKED = ("zstd", "gzip")
 HDF5 = b"\x89HDF\r\n\x1a\n"
 _HEAD = 4096  # bytes of a file that are looked at
+_TAIL = 2**16 + 300  # bytes at the end of an archive that may hold its last record
+_CONTENTS = 2**20  # bytes of an archive's table of contents
+_SURE = 8  # letters with which a text hardly begins
 _READ: tuple[tuple[bytes, str], ...] = (
     (MAGIC, "mcap"),
     (SQLITE, "db3"),
@@ -41,17 +44,17 @@ _FOREIGN: tuple[tuple[bytes, str], ...] = (
     (b"TDSm", "a LabVIEW TDMS file: open it in Excel with NI's TDM add-in and save it as CSV, or write LVM instead"),
     (b"ULog\x01\x12\x35", "a PX4 ULog: convert it with `ulog2csv {file}`"),
     (b"RRF", f"a Rerun recording: {_CONVERT}"),
-    (b"MDF ", f"an ASAM MDF file: {_CONVERT}"),
+    (b"MDF     ", f"an ASAM MDF file: {_CONVERT}"),
     (b"LOGG", f"a CAN log (.blf): {_CONVERT}"),
     (b"ARROW1", "an Arrow or Feather file: write it as Parquet, with `pyarrow.parquet.write_table`"),
     (b"FEA1", "an old Feather file: write it as Parquet, with `pyarrow.parquet.write_table`"),
     (b"Obj\x01", "an Avro file: write it as Parquet or CSV"),
     (b"7z\xbc\xaf\x27\x1c", f"a 7z archive: {_PACK}"),
-    (b"Rar!", f"a RAR archive: {_PACK}"),
+    (b"Rar!\x1a\x07", f"a RAR archive: {_PACK}"),
     (b"\xfd7zXZ", f"packed by xz: {_PACK} (`xz -dk {{file}}`)"),
     (b"BZh", f"packed by bzip2: {_PACK} (`bzip2 -dk {{file}}`)"),
     (b"\x04\x22\x4d\x18", f"packed by lz4: {_PACK} (`lz4 -d {{file}}`)"),
-    (b"%PDF", "a PDF document; give the log of the recording"),
+    (b"%PDF-1.", "a PDF document; give the log of the recording"),
     (b"\x89PNG", _PICTURE),
     (b"\xff\xd8\xff", _PICTURE),
     (b"\x1aE\xdf\xa3", _PICTURE),
@@ -79,7 +82,7 @@ def kind_of(path: Path) -> str:
     except OSError as cause:
         raise RunError(f"{path}: cannot be read ({cause.strerror or cause}); give the path of a log") from cause
     for magic, kind in _READ:
-        if start.startswith(magic):
+        if start.startswith(magic) and not _like_text(magic, start):
             return _checked_mcap(path, start) if kind == "mcap" else kind
     if start[512:520] == HDF5 or start[1024:1032] == HDF5 or start[2048:2056] == HDF5:
         return "hdf5"
@@ -97,7 +100,7 @@ def kind_of(path: Path) -> str:
 def _refuse_foreign(path: Path, start: bytes) -> None:
     """Raise what names a format that is not read."""
     for magic, what in _FOREIGN:
-        if start.startswith(magic):
+        if start.startswith(magic) and not _like_text(magic, start):
             raise _not_read(path, what)
     if start[4:8] == b"ftyp" or (start.startswith(b"RIFF") and start[8:12] in (b"AVI ", b"WAVE")):
         raise _not_read(path, _PICTURE)
@@ -107,6 +110,11 @@ def _refuse_foreign(path: Path, start: bytes) -> None:
         raise _not_read(
             path, "a Python pickle, which could run code and is never read: save the arrays with numpy.savez"
         )
+
+
+def _like_text(magic: bytes, start: bytes) -> bool:
+    """Whether a file may be text whose first word happens to be a format's: a column called `PAR1` or `LOGGED`."""
+    return len(magic) < _SURE and magic.isalnum() and b"\0" not in start
 
 
 def _not_read(path: Path, what: str) -> RunError:
@@ -125,8 +133,11 @@ def _checked_mcap(path: Path, start: bytes) -> str:
 def _of_zip(path: Path) -> str:
     """Return `npz`; raise RunError for another kind of archive."""
     try:
+        check_contents(path)
         with zipfile.ZipFile(path) as archive:
             names = archive.namelist()[:1000]
+    except RunError:
+        raise
     except Exception as fault:  # zipfile raises a dozen kinds on damaged files
         if path.suffix.lower() == ".npz":
             return "npz"
@@ -140,6 +151,23 @@ def _of_zip(path: Path) -> str:
     if path.suffix.lower() == ".npz":
         return "npz"
     raise _not_read(path, f"a zip archive: {_PACK}")
+
+
+def check_contents(path: Path) -> None:
+    """Refuse an archive whose table of contents is too large, before `zipfile` takes memory for each entry.
+
+    Raises:
+        RunError: it is.
+    """
+    with path.open("rb") as file:
+        file.seek(max(0, file.seek(0, 2) - _TAIL))
+        tail = file.read()
+    at = tail.rfind(b"PK\5\6")
+    size = int.from_bytes(tail[at + 12 : at + 16], "little") if at >= 0 else 0
+    if size > _CONTENTS or b"PK\6\6" in tail[max(0, at - 200) : at]:
+        raise RunError(
+            f"{path}: an archive of too many entries or bytes to be a log; unpack it and give the log inside"
+        )
 
 
 def _refuse_calibration(path: Path, text: str) -> None:

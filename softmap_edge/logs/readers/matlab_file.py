@@ -142,8 +142,8 @@ def _take(name: str, value: Any, found: _Found, depth: int) -> None:
 
 def _class_of(value: Any, kind: str) -> str:
     name = getattr(value, "classname", None)
-    if name is None and getattr(value, "dtype", None) is not None and value.dtype.names and value.size:
-        name = value.reshape(-1)[0][-1] if "_Class" not in value.dtype.names else value.reshape(-1)[0]["_Class"]
+    if name is None and "s2" in (value.dtype.names or ()) and value.size:  # as scipy gives what it cannot open
+        name = value.reshape(-1)[0]["s2"]
     text = name.decode("latin-1") if isinstance(name, bytes) else str(name) if isinstance(name, str) else kind
     return "".join(c for c in text if c.isprintable())[:40]
 
