@@ -384,3 +384,39 @@ def test_a_fault_inside_a_packed_file_names_the_file_that_was_given(tmp_path):
     (tmp_path / "log.csv.gz").write_bytes(gzip.compress(CSV.replace("0.5,", "x,", 1).encode()))
     message = refused([tmp_path / "log.csv.gz"], CSV_MAP)
     assert re.search(r"log.csv.gz: line 7, column t: 'x' is not a number", message), message
+
+
+def test_a_query_without_end_is_stopped(tmp_path):
+    """The number of steps is bounded, however busy the computer is."""
+    from softmap_edge.logs.readers.rosbag_sqlite import _harden
+
+    database = sqlite3.connect(tmp_path / "a.db3")
+    _harden(database, 10**6)
+    with pytest.raises(sqlite3.OperationalError, match="interrupted"):
+        database.execute(f"{ENDLESS} max(x) FROM n").fetchall()
+    with pytest.raises(sqlite3.Error):
+        database.execute("ATTACH 'other.db3' AS other")
+    database.close()
+
+
+def test_a_long_recording_is_within_the_steps(tmp_path):
+    path = write_db3(tmp_path / "run.db3", messages())
+    with sqlite3.connect(path) as database:
+        for _ in range(12):
+            database.execute("INSERT INTO messages SELECT NULL, topic_id, timestamp + 600000000, data FROM messages")
+    database.close()
+    listed = {topic.name: topic.count for topic in topics_of_db3(path)}
+    assert listed == {"/goal": 60 * 4096, "/joint_states": 30 * 4096, "/poses": 15 * 4096}
+
+
+def test_a_mapping_may_name_the_folder_or_the_file_in_it(tmp_path, monkeypatch):
+    folder = write_folder(tmp_path / "bag", ["bag_0.db3"])
+    write_db3(folder / "bag_0.db3", messages())
+    whole = imported([folder]).run
+    for name in ("bag", "bag_*", "bag_0.db3"):
+        same(imported([folder], MAP.replace("[[log]]\n", f'[[log]]\nfile = "{name}"\n')).run, whole)
+    assert "log 'other*': no given file fits" in refused([folder], MAP.replace("[[log]]", '[[log]]\nfile = "other*"'))
+    monkeypatch.chdir(folder)
+    done = imported([Path(".")])
+    same(done.run, whole)
+    assert guess_mapping([Path(".")]).text.splitlines()[1].startswith("# ASSUMED  time of bag /goal")

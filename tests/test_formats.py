@@ -1,17 +1,22 @@
 """The format of a log is found by its bytes; one that is not read is named with the way out."""
 
 import io
+import re
+import sys
 import tarfile
+import tomllib
 import zipfile
 from pathlib import Path
 
 import numpy as np
 import pytest
-from containers import arrays, messages, write_db3, write_mat73
+import scipy.io
+from containers import arrays, messages, write_dataset, write_db3, write_mat73
 from recordings import places, write_c3d, write_mcap, write_motive, write_trc
 
 from softmap_edge.errors import RunError
 from softmap_edge.logs.guess import guess_mapping
+from softmap_edge.logs.readers import in_child
 from softmap_edge.logs.readers.kinds import _FOREIGN, kind_of
 
 
@@ -140,3 +145,46 @@ def test_what_is_no_file_is_not_waited_for(tmp_path):
     ):
         with pytest.raises(RunError, match=words):
             kind_of(path)
+
+
+# --- what is not installed -----------------------------------------------------------------
+@pytest.mark.parametrize(
+    ("package", "made", "words"),
+    [
+        ("scipy", lambda f: (scipy.io.savemat(f / "a.mat", arrays()), f / "a.mat")[1], "MATLAB files need scipy"),
+        ("h5py", lambda f: write_mat73(f / "a.mat", arrays()), "HDF5 files need h5py"),
+        ("pyarrow", lambda f: write_dataset(f / "set"), "Parquet needs pyarrow"),
+    ],
+)
+def test_a_parser_that_is_not_installed_is_named_with_its_extra(tmp_path, monkeypatch, package, made, words):
+    path = made(tmp_path)
+    (tmp_path / "without").mkdir()
+    (tmp_path / f"without/{package}.py").write_text("raise ImportError")
+    monkeypatch.setattr(sys, "path", [str(tmp_path / "without"), *sys.path])
+    monkeypatch.setattr(in_child, "_servers", [])
+    with pytest.raises(RunError, match=rf"{words}; run pip install 'softmap-edge\[logs\]'"):
+        guess_mapping([path])
+    in_child._servers[-1].close()
+
+
+def test_zstd_that_is_not_installed_is_named_with_its_extra(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "zstandard", None)
+    (tmp_path / "run.mcap.zstd").write_bytes(b"\x28\xb5\x2f\xfd" + bytes(20))
+    with pytest.raises(
+        RunError, match=r"need zstandard; run pip install 'softmap-edge\[logs\]', or zstd -d run.mcap.zstd"
+    ):
+        guess_mapping([tmp_path / "run.mcap.zstd"])
+
+
+def test_the_extra_has_all_that_its_errors_name():
+    text = (Path(__file__).parents[1] / "pyproject.toml").read_text()
+    extras = tomllib.loads(text)["project"]["optional-dependencies"]
+    assert {re.split("[>=]", one)[0] for one in extras["logs"]} == {
+        "c3d",
+        "h5py",
+        "mcap",
+        "pyarrow",
+        "scipy",
+        "zstandard",
+    }
+    assert extras["capture"] == ["softmap-edge[logs]"]

@@ -71,6 +71,16 @@ def test_arrays_and_a_document_come_back(path):
     assert found.document == {"text": "text"}
 
 
+def test_a_path_is_taken_from_where_the_caller_works(path, tmp_path, monkeypatch):
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other/file").write_text("another")
+    found = []
+    for folder in (tmp_path, tmp_path / "other"):
+        monkeypatch.chdir(folder)
+        found.append(read_in_child(Path("file"), "file", "test_in_child:answer", rows=1).document["text"])
+    assert found == ["text", "another"]
+
+
 @pytest.mark.parametrize(
     ("how", "words"),
     [

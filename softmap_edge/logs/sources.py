@@ -64,7 +64,7 @@ def parts_of(paths: Sequence[Path]) -> list[Part]:
         RunError: a path cannot be read, is no recording, or is of a format that is not read.
     """
     found: list[Part] = []
-    for path in paths:
+    for path in (path if path.name not in ("", "..") else path.resolve() for path in paths):
         if path.is_dir():
             folder = files_of(path)
             parts = [_part(path, file) for file in folder.files]

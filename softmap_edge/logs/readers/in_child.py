@@ -74,6 +74,7 @@ def read_in_child(path: Path, what: str, call: str, **arguments: Any) -> Answer:
         out = Path(folder) / "answer"
         seconds = SECONDS + path.stat().st_size / PER_SECOND
         job = {"call": call, "path": str(path), "arguments": arguments, "out": str(out), "seconds": seconds}
+        job["folder"] = os.getcwd()
         end = _server().ask(job)
         if end == "done":
             return _answer(path, what, out)
@@ -177,6 +178,7 @@ def _in_fork(job: dict[str, Any]) -> str:
     child = os.fork()
     if child == 0:
         try:
+            os.chdir(job["folder"])
             _limit(job["seconds"])
             _work(job)
         finally:

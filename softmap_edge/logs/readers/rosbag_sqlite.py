@@ -1,18 +1,18 @@
 """Reads a topic of a rosbag2 recording in SQLite (.db3): one row a message, columns by `cdr.py`, as `mcap_file.py`.
 
 The database is opened by Python's own `sqlite3`, read-only, without views, triggers, extensions or memory maps, and
-with limits of size and time, because it may be made to harm. A log that an interrupted recorder left (`-wal`) is merged
-in a copy. Recordings up to Humble hold no definitions of their messages: `message_types.py` has the common ones, and
-then a message must be used up to its last byte. SQLite files carry no checksum.
+with limits of size and steps, because it may be made to harm. A log that an interrupted recorder left (`-wal`) is
+merged in a copy. Recordings up to Humble hold no definitions of their messages: `message_types.py` has the common
+ones, and then a message must be used up to its last byte. SQLite files carry no checksum.
 """
 
 from __future__ import annotations
 
 import contextlib
+import itertools
 import shutil
 import sqlite3
 import tempfile
-import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -28,9 +28,9 @@ MAGIC = b"SQLite format 3\0"
 LIMIT = 2**33  # bytes of one file
 _LONGEST = 2**26  # bytes of one message
 _TOPICS = 4096
-_STEPS = 100_000  # of SQLite's machine between two looks at the clock
-_SECONDS = 8.0  # for a small file
-_PER_SECOND = 2**22  # bytes of a file that are read in a second, at least
+_STEPS = 100_000  # of SQLite's machine between two looks at how many there were
+_MOST_STEPS = 30_000_000  # for a small file: some seconds
+_STEPS_A_BYTE = 4  # more for a large one; a message takes some 20 steps
 _TABLES = {"topics": {"id", "name", "type", "serialization_format"}, "messages": {"topic_id", "timestamp", "data"}}
 _RECOVER = "copy it again, or save what is left: sqlite3 FILE .recover | sqlite3 NEW.db3"
 
@@ -135,7 +135,7 @@ def _opened(path: Path) -> Iterator[tuple[sqlite3.Connection, list[str]]]:
             file = _merged(path, notes, stack)
             database = sqlite3.connect(f"{file.absolute().as_uri()}?mode=ro&immutable=1", uri=True)
             stack.callback(database.close)
-            _harden(database, _SECONDS + size / _PER_SECOND)
+            _harden(database, size)
             yield database, notes
         except sqlite3.Error as fault:
             why = "it takes too long to read" if "interrupted" in str(fault) else brief(fault)
@@ -158,16 +158,17 @@ def _merged(path: Path, notes: list[str], stack: contextlib.ExitStack) -> Path:
     shutil.copyfile(path, copy)
     shutil.copyfile(log, folder / "copy.db3-wal")
     with contextlib.closing(sqlite3.connect(copy)) as database:
-        _harden(database, _SECONDS + copy.stat().st_size / _PER_SECOND)
+        _harden(database, copy.stat().st_size)
         database.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchall()
     notes.append(f"the recorder was interrupted; what it left in {log.name} is read too")
     return copy
 
 
-def _harden(database: sqlite3.Connection, seconds: float) -> None:
-    """Set limits for a database of unknown origin."""
-    late = time.monotonic() + seconds
-    database.set_progress_handler(lambda: time.monotonic() > late, _STEPS)
+def _harden(database: sqlite3.Connection, size: int) -> None:
+    """Set limits for a database of unknown origin, of `size` bytes."""
+    calls = itertools.count(1)
+    most = (_MOST_STEPS + _STEPS_A_BYTE * size) // _STEPS
+    database.set_progress_handler(lambda: next(calls) > most, _STEPS)
     database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, _LONGEST)
     database.setlimit(sqlite3.SQLITE_LIMIT_ATTACHED, 0)
     database.text_factory = lambda data: data.decode("utf-8", "replace")
