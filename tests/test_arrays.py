@@ -327,6 +327,7 @@ def test_an_episode_of_a_dataset(tmp_path, what):
 
 def test_the_proposal_for_a_dataset(tmp_path):
     found = guess_mapping([write_dataset(tmp_path / "set")])
+    assert "degrees or LeRobot's values from -100 to 100" in found.text
     assert "episode = 0" in found.text and '"action[shoulder_pan.pos]", "action[gripper.pos]"' in found.text
     run = imported([tmp_path / "set"], found.text).run
     assert run.command.shape == (40, 2) and run.present.shape == (40, 2)
@@ -343,6 +344,21 @@ def test_a_dataset_of_several_files(tmp_path):
     assert list(done.run.extra["made_from"])[0].startswith("file-001.parquet")
     assert "many episodes in 2 files" in refused(folder, LEROBOT.replace("episode = 1\n", ""))
     assert "no file of set holds episode 9" in refused(folder, LEROBOT.replace("episode = 1", "episode = 9"))
+
+
+def test_a_dataset_of_one_file_an_episode(tmp_path):
+    """LeRobot before v3."""
+    folder = write_dataset(tmp_path / "set")
+    whole = pq.read_table(folder / "data/chunk-000/file-000.parquet")
+    (folder / "data/chunk-000/file-000.parquet").unlink()
+    for k in range(3):
+        one = whole.filter(pa.compute.equal(whole["episode_index"], k))
+        pq.write_table(one, folder / f"data/chunk-000/episode_{k:06d}.parquet")
+    done = imported([folder], LEROBOT)
+    assert done.run.command[0, 0] == pytest.approx(50 * np.sin(1) + 1, abs=1e-4)
+    assert list(done.run.extra["made_from"])[0].startswith("episode_000001.parquet")
+    assert imported([folder / "data/chunk-000/episode_000001.parquet"], LEROBOT.replace("episode = 1\n", "")).run
+    assert "episode = 0" in guess_mapping([folder]).text
 
 
 def test_the_calibration_of_an_arm_is_explained(tmp_path):

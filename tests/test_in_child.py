@@ -174,10 +174,11 @@ def test_a_module_in_the_working_folder_is_not_imported(path, tmp_path):
     (tmp_path / "work/numpy.py").write_text("open('run', 'w')")
     (tmp_path / "work/scipy.py").write_text("open('run', 'w')")
     script = (
-        "import sys; sys.path[:] = [p for p in sys.path if p] + [sys.argv[2]]\n"
+        "import sys; sys.path.append(sys.argv[2])\n"
         "from pathlib import Path\nfrom softmap_edge.logs.readers import in_child\n"
         "in_child.read_in_child(Path(sys.argv[1]), 'file', 'test_in_child:answer', rows=1)\n"
     )
+    script = script.replace("in_child.read", "sys.path[:0] = ['']  # as in a session\nin_child.read")
     argv = [sys.executable, "-P", "-c", script, str(path), str(HERE)]
     done = subprocess.run(argv, capture_output=True, text=True, cwd=tmp_path / "work")
     assert done.returncode == 0 and not (tmp_path / "work/run").exists(), done.stderr

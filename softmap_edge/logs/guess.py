@@ -31,6 +31,7 @@ from softmap_edge.logs.guess_columns import (
 )
 from softmap_edge.logs.guess_text import RATE_HZ, Found, mapping_text, seconds
 from softmap_edge.logs.importer import import_logs
+from softmap_edge.logs.lerobot import EITHER_UNIT
 from softmap_edge.logs.mapping import ANGLE, LENGTH, parse_mapping
 from softmap_edge.logs.plausible import at_rest, axes_for, is_base, rest_axis
 
@@ -94,6 +95,8 @@ def guess_mapping(paths: Sequence[str | os.PathLike[str]]) -> Guess:
     found.unknown += [
         line for sheet, time in zip(sheets, found.times.values()) for line in _left_out(sheet, time[0], found)
     ]
+    if any(sheet.episode is not None for sheet in sheets):
+        found.unknown.append(EITHER_UNIT)
     frame = [] if found.points is None else _frame(sheets, found)
     text = mapping_text(sheets, found, frame)
     head = [f"# Proposed from the header and the ranges of {', '.join(path.name for path in files)}; read every line."]

@@ -14,6 +14,10 @@ from typing import Any
 
 from softmap_edge.errors import RunError, brief
 
+EITHER_UNIT = (
+    "whether the dataset holds degrees or LeRobot's values from -100 to 100 (a gripper's from 0 to 100); "
+    "the arm's calibration turns the latter into ticks (docs/mapping.md)"
+)
 INFO = Path("meta") / "info.json"
 _SIZE = 2**24  # bytes of an info
 _MOST = 4096  # elements of one feature

@@ -105,7 +105,7 @@ class _Server:
     """The process that forks for each file; it ends with this one."""
 
     def __init__(self) -> None:
-        argv = [sys.executable, "-P", "-W", "ignore", "-c", _START, json.dumps(sys.path)]
+        argv = [sys.executable, "-P", "-W", "ignore", "-c", _START, json.dumps(_folders())]
         self.owner, self.lock = os.getpid(), threading.Lock()
         self.process = subprocess.Popen(
             argv,
@@ -146,6 +146,12 @@ class _Server:
         """Leave the process to its owner, or end it where that is this process."""
         self.close()
         self.process.returncode = self.process.returncode or 0
+
+
+def _folders() -> list[str]:
+    """Return where Python looks for packages, without the working folder, which may be that of the logs."""
+    own = str(Path(__file__).resolve().parents[3])
+    return list(dict.fromkeys([*(folder or own for folder in sys.path), own]))
 
 
 _servers: list[_Server] = []
