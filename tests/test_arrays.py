@@ -278,8 +278,8 @@ def test_hdf5_follows_nothing_out_of_the_file(tmp_path):
         file.create_virtual_dataset("virtual", layout)
     held = open_log(tmp_path / "a.h5")
     assert held.names == ["n"]
-    said = "; ".join(held.notes)
-    assert "link (a link)" in said and "outside (kept in another file)" in said and "virtual (kept in" in said
+    remarks = "; ".join(held.notes)
+    assert "link (a link)" in remarks and "outside (kept in another file)" in remarks and "virtual (kept in" in remarks
 
 
 def test_hdf5_of_a_size_that_it_only_promises(tmp_path):
@@ -349,10 +349,10 @@ def test_a_dataset_of_several_files(tmp_path):
 def test_a_dataset_of_one_file_an_episode(tmp_path):
     """LeRobot before v3."""
     folder = write_dataset(tmp_path / "set")
-    whole = pq.read_table(folder / "data/chunk-000/file-000.parquet")
+    complete = pq.read_table(folder / "data/chunk-000/file-000.parquet")
     (folder / "data/chunk-000/file-000.parquet").unlink()
     for k in range(3):
-        one = whole.filter(pa.compute.equal(whole["episode_index"], k))
+        one = complete.filter(pa.compute.equal(complete["episode_index"], k))
         pq.write_table(one, folder / f"data/chunk-000/episode_{k:06d}.parquet")
     done = imported([folder], LEROBOT)
     assert done.run.command[0, 0] == pytest.approx(50 * np.sin(1) + 1, abs=1e-4)
@@ -413,8 +413,8 @@ def test_types_of_parquet(tmp_path):
     held = open_log(tmp_path / "a.parquet")
     assert held.names == ["when", "u", "on", "part"]
     assert held.columns[0][1] == pytest.approx(1_700_000_000.05) and np.isnan(held.columns[1][3])
-    said = "; ".join(held.notes)
-    assert all(word in said for word in ("ragged (lists of different lengths)", "picture (struct", "raw (binary"))
+    remarks = "; ".join(held.notes)
+    assert all(word in remarks for word in ("ragged (lists of different lengths)", "picture (struct", "raw (binary"))
 
 
 def test_a_flipped_bit_in_a_page_with_a_checksum_is_found(tmp_path):

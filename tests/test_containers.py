@@ -52,11 +52,11 @@ def same(one, other):
 )
 def test_a_recording_is_the_same_run_in_every_container(names, mapping):
     done = import_logs([DATA / name for name in names], read_mapping(DATA / mapping))
-    whole = import_logs([DATA / "bagdir"], read_mapping(DATA / "map.toml"))
+    complete = import_logs([DATA / "bagdir"], read_mapping(DATA / "map.toml"))
     assert len(done.run.t) == 1056 and done.run.frames == 150
-    same(done.run, whole.run)
-    said = [note for note in done.notes if "parts read one after another: bag_0.mcap, bag_1.mcap" in note]
-    assert len(said) == (2 if len(names) == 2 else 0)
+    same(done.run, complete.run)
+    remarks = [note for note in done.notes if "parts read one after another: bag_0.mcap, bag_1.mcap" in note]
+    assert len(remarks) == (2 if len(names) == 2 else 0)
     made = "\n".join(done.run.extra["made_from"])
     assert all(name in made for name in names) and made.count("sha256") == len(names)
 
@@ -122,7 +122,7 @@ def test_a_folder_of_several_files_packed_or_not(tmp_path):
     plain = write_db3(tmp_path / "bag_1.db3", messages(first=40))
     (folder / "bag_1.db3.zstd").write_bytes(zstandard.ZstdCompressor().compress(plain.read_bytes()))
     done = imported([folder])
-    same(done.run, imported([write_db3(tmp_path / "whole.db3", messages())]).run)
+    same(done.run, imported([write_db3(tmp_path / "complete.db3", messages())]).run)
     assert any("2 parts read one after another: bag_0.db3, bag_1.db3" in note for note in done.notes)
     (folder / "bag_0.db3").unlink()
     (folder / "bag_0.db3.zstd").write_bytes(gzip.compress(b"no bag"))
@@ -412,11 +412,11 @@ def test_a_long_recording_is_within_the_steps(tmp_path):
 def test_a_mapping_may_name_the_folder_or_the_file_in_it(tmp_path, monkeypatch):
     folder = write_folder(tmp_path / "bag", ["bag_0.db3"])
     write_db3(folder / "bag_0.db3", messages())
-    whole = imported([folder]).run
+    complete = imported([folder]).run
     for name in ("bag", "bag_*", "bag_0.db3"):
-        same(imported([folder], MAP.replace("[[log]]\n", f'[[log]]\nfile = "{name}"\n')).run, whole)
+        same(imported([folder], MAP.replace("[[log]]\n", f'[[log]]\nfile = "{name}"\n')).run, complete)
     assert "log 'other*': no given file fits" in refused([folder], MAP.replace("[[log]]", '[[log]]\nfile = "other*"'))
     monkeypatch.chdir(folder)
     done = imported([Path(".")])
-    same(done.run, whole)
+    same(done.run, complete)
     assert guess_mapping([Path(".")]).text.splitlines()[1].startswith("# ASSUMED  time of bag /goal")

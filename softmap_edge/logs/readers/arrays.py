@@ -90,7 +90,7 @@ def columns_of_arrays(
     usual = _vector_lengths(arrays, texts or {})
     names: list[str] = []
     columns: list[Array] = []
-    said, absent = list(notes), list(left_out)
+    remarks, absent = list(notes), list(left_out)
     for name, array in arrays.items():
         shaped, turned = _rows_first(array, usual)
         if shaped is None or len(names) + shaped[0].size > MOST_COLUMNS:
@@ -100,7 +100,7 @@ def columns_of_arrays(
         flat = shaped.reshape(len(shaped), -1)
         names += named
         columns += [np.asarray(flat[:, k], np.float64) for k in range(flat.shape[1])]
-        said += [f"{name}: rows run along its axis {turned} ({_shape(array)})"] if turned else []
+        remarks += [f"{name}: rows run along its axis {turned} ({_shape(array)})"] if turned else []
     held: dict[int, list[str]] = {}
     for name, column in (texts or {}).items():
         held[len(names)] = column
@@ -109,8 +109,8 @@ def columns_of_arrays(
     if not any(len(column) > 1 for column in columns):
         why = f": {_listed(absent)}" if absent else ""
         raise RunError(f"{path}: holds no columns of numbers{why}; save each signal as an array of numbers")
-    said += [f"left out: {_listed(absent)}"] if absent else []
-    return ArrayColumns(path, names, columns, held, notes=tuple(said))
+    remarks += [f"left out: {_listed(absent)}"] if absent else []
+    return ArrayColumns(path, names, columns, held, notes=tuple(remarks))
 
 
 def _vector_lengths(arrays: Mapping[str, NDArray[Any]], texts: Mapping[str, list[str]]) -> set[int]:

@@ -94,14 +94,14 @@ def _field(line: str, owner: str) -> Field | None:
 
 
 # --- messages ------------------------------------------------------------------------------
-def read_message(name: str, types: Types, data: bytes, whole: bool = False) -> dict[str, float]:
+def read_message(name: str, types: Types, data: bytes, complete: bool = False) -> dict[str, float]:
     """Return the numbers of a message by their names, in its order.
 
     Args:
         name: the type, such as `sensor_msgs/msg/JointState`.
         types: its fields, of `parse_definition`.
         data: the message, as CDR; packed by zstd where rosbag2 packed each message.
-        whole: whether the message must be used up to its last byte, but for padding.
+        complete: whether the message must be used up to its last byte, but for padding.
 
     Raises:
         CdrError: the bytes do not fit the definition.
@@ -112,7 +112,7 @@ def read_message(name: str, types: Types, data: bytes, whole: bool = False) -> d
         _struct(_short(name), types, reader, "", numbers, 0)
     except struct.error:
         raise CdrError("a message ends early") from None
-    if whole and len(reader.data) - reader.at >= _PADDING:
+    if complete and len(reader.data) - reader.at >= _PADDING:
         raise CdrError(f"{len(reader.data) - reader.at} bytes of a message are left over")
     return numbers
 

@@ -180,5 +180,5 @@ def _refuse_calibration(path: Path, text: str) -> None:
         document = json.loads(path.read_text(encoding="utf-8")) if path.stat().st_size < 2**20 else None
     except (OSError, ValueError, RecursionError):
         return
-    if said := explained(document):
-        raise RunError(f"{path}: {said}")
+    if explanation := explained(document):
+        raise RunError(f"{path}: {explanation}")

@@ -48,6 +48,6 @@ class MessageRows:
             table[k, places] = values
         if by_time:
             table = table[np.argsort(table[:, self.index["log_time"]], kind="stable")]
-        if len(np.unique(table[:, 0])) == 1 < len(table):  # stamps that nobody set
+        if len(np.unique(table[:, 0])) == 1 < len(table):  # stamps that were never set
             table[:, 0] = table[:, self.index["log_time"]]
         return HeldColumns(self.path, list(self.index), table, where="message", notes=notes)

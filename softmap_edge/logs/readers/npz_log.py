@@ -129,9 +129,9 @@ def seconds_of(times: NDArray[Any]) -> NDArray[np.float64]:
     """Return dates (since 1970) or durations in s; NaN where there is none."""
     absent = np.isnat(times)
     unit = f"{times.dtype.kind}8[ns]"
-    whole = times.astype(unit.replace("ns", "s"))
-    rest = (times.astype(unit) - whole.astype(unit)).astype(np.int64)
-    return np.asarray(np.where(absent, np.nan, whole.astype(np.int64) + 1e-9 * rest))
+    seconds = times.astype(unit.replace("ns", "s"))
+    rest = (times.astype(unit) - seconds.astype(unit)).astype(np.int64)
+    return np.asarray(np.where(absent, np.nan, seconds.astype(np.int64) + 1e-9 * rest))
 
 
 def _texts(array: NDArray[Any]) -> list[str]:

@@ -155,13 +155,15 @@ class _Gathered:
             raise RunError(
                 f"{self.path}: holds no episode {self.episode}; there are {listed}; change `episode` in the mapping"
             )
-        whole = {name: np.concatenate(parts) for name, parts in self.parts.items() if parts and name not in self.ragged}
+        columns = {
+            name: np.concatenate(parts) for name, parts in self.parts.items() if parts and name not in self.ragged
+        }
         for name in self.names:
-            if name not in whole:
+            if name not in columns:
                 why = "lists of different lengths" if name in self.ragged else "empty"
                 self.left_out.append(f"{name} ({why})")
-        arrays = {name: np.asarray(one, np.float64) for name, one in whole.items() if one.dtype.kind in "biuf"}
-        texts = {name: [str(text)[:200] for text in one] for name, one in whole.items() if one.dtype.kind == "O"}
+        arrays = {name: np.asarray(one, np.float64) for name, one in columns.items() if one.dtype.kind in "biuf"}
+        texts = {name: [str(text)[:200] for text in one] for name, one in columns.items() if one.dtype.kind == "O"}
         notes = [] if self.episode is None else [f"episode {self.episode}"]
         document = {"texts": texts, "left_out": self.left_out, "notes": notes, "names": self.names}
         return Answer(arrays, document)

@@ -56,8 +56,8 @@ class JoinedColumns:
         cells = [read[k] for k in order]
         labels = None if label is None else np.concatenate([np.asarray(one.labels) for one in cells])
         notes = [_noted(self.parts[k][0], note) for k in order for note in read[k].notes]
-        told = ", ".join(self.parts[k][0] for k in order)
-        notes.insert(0, f"{len(order)} parts read one after another: {told[:400]}{self._pause(order, times)}")
+        listed = ", ".join(self.parts[k][0] for k in order)
+        notes.insert(0, f"{len(order)} parts read one after another: {listed[:400]}{self._pause(order, times)}")
         return Cells(
             np.concatenate([one.numbers for one in cells])[:rows],
             None if labels is None else labels[:rows],

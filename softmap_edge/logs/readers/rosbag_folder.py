@@ -60,8 +60,8 @@ def files_of(folder: Path) -> Folder:
             raise RunError(f"{folder}: {METADATA} names no files, and no recording is there; copy the folder again")
         return Folder(tuple(recordings), (f"{METADATA} names no files; those of the folder are read",))
     spare = [path.name for path in recordings if path not in found]
-    said = (f"not named in {METADATA} and left out: {', '.join(spare)[:200]}",) if spare else ()
-    return Folder(tuple(dict.fromkeys(found)), said)
+    remarks = (f"not named in {METADATA} and left out: {', '.join(spare)[:200]}",) if spare else ()
+    return Folder(tuple(dict.fromkeys(found)), remarks)
 
 
 def named_files(text: str) -> list[str]:

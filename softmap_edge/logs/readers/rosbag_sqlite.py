@@ -70,7 +70,7 @@ def open_db3(path: Path, topic: str | None, most: int | None = None) -> HeldColu
         rows = MessageRows(path, channel.name)
         for k, (logged, data) in enumerate(_messages(path, database, channel, most)):
             try:
-                numbers = read_message(channel.type, types, data, whole=channel.definition is None)
+                numbers = read_message(channel.type, types, data, complete=channel.definition is None)
             except CdrError as fault:
                 why = "the file is damaged"
                 if channel.definition is None:
