@@ -42,6 +42,7 @@ class Format:
     spoil: Callable[[Path, Path, np.random.Generator], Path]
     use: Callable[[Path], object]
     some: int = 500  # that are spoiled where time is short; 10 000 are in any case by `make prove`
+    felt: float = 0.2  # the share that is refused at least: numbers of a log may be anything
 
 
 # --- damage --------------------------------------------------------------------------------
@@ -244,11 +245,12 @@ def spoil_many(script, form, first, count, folder):
     return json.loads(done.stdout)
 
 
-def assert_some(script, form, folder):
+def assert_some(script, form, folder, count=None):
     """Every one of some hundred damaged files is refused by an error of ours or used to the end."""
-    result = spoil_many(script, form, 0, form.some, folder)
-    assert result["refused"] + result["accepted"] == form.some
-    assert result["refused"] > form.some // 5  # the damage is felt: an oracle that accepts everything fails here
+    count = count or form.some
+    result = spoil_many(script, form, 0, count, folder)
+    assert result["refused"] + result["accepted"] == count
+    assert result["refused"] > count * form.felt  # the damage is felt: an oracle that accepts everything fails here
 
 
 def assert_10000(script, form, folder):
@@ -257,7 +259,7 @@ def assert_10000(script, form, folder):
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         results = list(pool.map(lambda first: spoil_many(script, form, first, 2500, folder / str(first)), parts))
     assert sum(result["refused"] + result["accepted"] for result in results) == 10_000
-    assert sum(result["refused"] for result in results) > 2000
+    assert sum(result["refused"] for result in results) > 10_000 * form.felt
 
 
 def run_all(forms):

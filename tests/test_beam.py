@@ -24,7 +24,7 @@ LINES |= {"load52_V2_a": "52 g", "load101_V2_a": "101 g"}
 
 @pytest.fixture(scope="module")
 def folder():
-    pytest.importorskip("c3d", reason="not run: C3D is read by the extra [capture]")
+    pytest.importorskip("c3d", reason="not run: C3D is read by the extra [logs]")
     return published("beam")
 
 

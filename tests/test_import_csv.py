@@ -42,7 +42,7 @@ def test_decimal_commas_and_columns_by_number(tmp_path):
         (lambda s: s.replace("\n0.5,", "\n0.1,", 1), ["time goes backwards at row 5"]),
         (lambda s: s.replace("\n0.5,", "\n0.4,", 1), ["time stands still at row 5"]),
         (lambda s: s.replace("0.", "\0"), ["zero bytes"]),
-        (lambda s: b"PK\3\4\0\xff\xfe", ["is not text; give the log of a recording, as CSV"]),
+        (lambda s: b"PK\3\4\0\xff\xfe", ["is a damaged archive", "copy it again"]),
     ],
 )
 def test_faults_of_a_log(tmp_path, change, words):

@@ -121,7 +121,7 @@ def test_a_missing_package_says_what_to_install(tmp_path, monkeypatch):
     t, points = places()
     path = write_c3d(tmp_path / "take.c3d", t, points)
     monkeypatch.setitem(__import__("sys").modules, "c3d", None)
-    with pytest.raises(RunError, match=r"pip install 'softmap-edge\[capture\]'"):
+    with pytest.raises(RunError, match=r"pip install 'softmap-edge\[logs\]'"):
         taken(tmp_path, path)
 
 

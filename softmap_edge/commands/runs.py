@@ -33,7 +33,12 @@ _WIDTH = 48  # characters of a trace
 
 def import_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `import`."""
-    parser.add_argument("logs", nargs="+", metavar="LOG", help="the logs of one recording: CSV, TRC, C3D, MCAP")
+    parser.add_argument(
+        "logs",
+        nargs="+",
+        metavar="LOG",
+        help="the logs of one recording (CSV, TRC, C3D, MCAP, .db3, .mat, .npz, Parquet), or its folder",
+    )
     how = parser.add_mutually_exclusive_group(required=True)
     how.add_argument("--map", help="mapping file: docs/mapping.md lists its keys, examples/trunk.toml shows the form")
     how.add_argument("--guess", action="store_true", help="propose a mapping from the header and the ranges")

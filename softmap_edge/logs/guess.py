@@ -31,6 +31,7 @@ from softmap_edge.logs.guess_columns import (
 )
 from softmap_edge.logs.guess_text import RATE_HZ, Found, mapping_text, seconds
 from softmap_edge.logs.importer import import_logs
+from softmap_edge.logs.lerobot import EITHER_UNIT
 from softmap_edge.logs.mapping import ANGLE, LENGTH, parse_mapping
 from softmap_edge.logs.not_seen import not_seen
 from softmap_edge.logs.plausible import at_rest, axes_for, is_base, rest_axis
@@ -74,7 +75,7 @@ def guess_mapping(paths: Sequence[str | os.PathLike[str]]) -> Guess:
     """
     files = [Path(path) for path in paths]
     sheets, found = read_sheets(files), Found()
-    rows = max(len(sheet.numbers) for sheet in sheets)
+    rows = max((len(sheet.numbers) for sheet in sheets), default=0)
     if rows < 2:
         names = ", ".join(path.name for path in files)
         raise RunError(f"{names}: {rows} row{'s' * (rows != 1)} of numbers; give the log of a whole recording")
@@ -96,8 +97,10 @@ def guess_mapping(paths: Sequence[str | os.PathLike[str]]) -> Guess:
     found.unknown += [
         line for sheet, time in zip(sheets, found.times.values()) for line in _left_out(sheet, time[0], found)
     ]
+    if any(sheet.episode is not None for sheet in sheets):
+        found.unknown.append(EITHER_UNIT)
     frame = [] if found.points is None else _frame(sheets, found)
-    text = mapping_text(sheets, files, found, frame)
+    text = mapping_text(sheets, found, frame)
     head = [f"# Proposed from the header and the ranges of {', '.join(path.name for path in files)}; read every line."]
     head += [f"# ASSUMED  {line}" for line in found.assumed] + [f"# UNKNOWN  {line}" for line in found.unknown]
     text = "\n".join([*map(_one_line, head), text])

@@ -17,19 +17,26 @@ from numpy.typing import NDArray
 from softmap_edge.errors import RunError
 from softmap_edge.logs.mapping import LENGTH, TIME, UNITS
 from softmap_edge.logs.plausible import ROBOT
-from softmap_edge.logs.readers.columns import HeldColumns
-from softmap_edge.logs.readers.mcap_file import open_mcap, topics
+from softmap_edge.logs.readers.arrays import ArrayColumns
+from softmap_edge.logs.readers.columns import Columns, HeldColumns
+from softmap_edge.logs.readers.kinds import RECORDINGS
+from softmap_edge.logs.readers.mcap_file import Topic
+from softmap_edge.logs.readers.parquet_log import EPISODE, open_parquet
 from softmap_edge.logs.readers.text import TextColumns
+from softmap_edge.logs.sources import Part, called, groups_of, open_recording, parts_of, pattern_of, topics_of
 from softmap_edge.logs.table import LARGEST, open_log
 from softmap_edge.logs.triples import Triples, find_pairs, find_triples
 
 Array = NDArray[np.float64]
 ROWS = 20_000  # of each log that are looked at
 MOST_COLUMNS = 4096  # of each log: names are compared by pairs
+_MOST_LENGTHS = 16  # tables of different lengths of one file of arrays
 _COUNTERS = re.compile(r"^(id|frame#?|index|idx|sample|row|count(er)?|nr|no|n|#|)$", re.IGNORECASE)
 _TIMES = re.compile(r"^t$|time|stamp|clock|^sec|^t_|_t$", re.IGNORECASE)
 _JOINTS = re.compile(r"joint_?states?", re.IGNORECASE)  # a topic, a column or a type of message
 _LABELS = re.compile(r"block|label|segment|trial|phase|pattern|part|condition|experiment", re.IGNORECASE)
+_PLACES = re.compile(r"marker|point|(^|[._])tip($|_)|xyz|mocap|optitrack|vicon|place|end_?effector", re.IGNORECASE)
+_NO_POINT = re.compile(r"rot|orient|quat|vel|acc|gyr|force|torque|imu|mag|twist|unlabel", re.IGNORECASE)
 # Roles of groups of columns, the surest words first; each is tried on the name, and on the topic of a recording.
 ROLES: tuple[tuple[str, str], ...] = (
     ("current", r"current|(^|_)cur(_|#|$)|amp|_ma$"),
@@ -59,6 +66,9 @@ class Sheet:
     header: bool = True
     bare: list[str] = field(default_factory=list)  # the names as they are in the file, where some may be the same
     kind: str = ""  # the type of the messages of a topic
+    file: str = ""  # what `file` in a mapping says of it
+    indexed: bool = False  # brackets at the end of a name hold the number or name of an element
+    episode: int | None = None  # of a dataset
 
     def column(self, name: str) -> Array:
         """Return the numbers of a column."""
@@ -87,40 +97,80 @@ def read_sheets(paths: list[Path]) -> list[Sheet]:
     Raises:
         RunError: a file cannot be read.
     """
-    sheets: list[Sheet] = []
-    for path in paths:
-        columns = None if path.suffix.lower() == ".mcap" else open_log(path)
-        if columns is None:
-            recorded = topics(path)
-            if not any(topic.readable for topic in recorded):
-                named = ", ".join(f"{topic.name} ({topic.type})" for topic in recorded)[:200] or "none"
-                raise RunError(
-                    f"{path}: no topic holds messages in cdr of ros2msg, as rosbag2 writes; there are {named}"
-                )
-            for topic in recorded:
-                if topic.readable:
-                    held = open_mcap(path, topic.name, ROWS)
-                    numbers = np.where(np.abs(held.numbers) < LARGEST, held.numbers, np.nan)
-                    sheets.append(Sheet(path, topic.name, held.names, {}, numbers, {}, kind=topic.type))
-            continue
-        if len(columns.names) > MOST_COLUMNS:
-            raise RunError(
-                f"{path}: {len(columns.names)} columns, at most {MOST_COLUMNS} are looked at; name those of the robot "
-                "in a mapping by hand: docs/mapping.md lists its keys"
+    return [sheet for group in groups_of(parts_of(paths)) for sheet in _sheets_of(group)]
+
+
+def _sheets_of(group: list[Part]) -> list[Sheet]:
+    """Return the sheets of one log: one, or one for each topic of a recording or each length of arrays."""
+    first = group[0]
+    if first.kind in RECORDINGS:
+        return _sheets_of_recording(group)
+    with called(first.file, first.path):
+        columns = open_parquet(first.file, first=True) if first.kind == "parquet" else open_log(first.file)
+        if isinstance(columns, ArrayColumns):
+            return [_sheet(first, columns, places) for places in columns.groups()[:_MOST_LENGTHS]]
+        return [_sheet(first, columns, list(range(len(columns.names))))]
+
+
+def _sheets_of_recording(group: list[Part]) -> list[Sheet]:
+    """Return a sheet for each topic that can be decoded."""
+    path = group[0].given if group[0].of_folder or len(group) == 1 else group[0].path.with_name(pattern_of(group))
+    recorded = {topic.name: topic for part in group for topic in topics_of(part) if topic.readable}
+    if not recorded:
+        raise _nothing_readable(path, [topic for part in group for topic in topics_of(part)])
+    sheets = []
+    for name in recorded:
+        held = open_recording(group, name, ROWS)
+        cells = held.read(list(range(len(held.names))), None, ROWS)
+        numbers = np.where(np.abs(cells.numbers) < LARGEST, cells.numbers, np.nan)
+        sheets.append(
+            Sheet(
+                path, name, held.names, {}, numbers, {}, file=pattern_of(group), indexed=True, kind=recorded[name].type
             )
-        texts: dict[str, list[str]] = {}
-        bare = columns.names
-        if isinstance(columns, TextColumns | HeldColumns):
-            columns = replace(columns, names=_unique(bare))
-        if isinstance(columns, TextColumns):
-            texts = columns.texts(200)
-        places = [k for k, name in enumerate(columns.names) if name not in texts]
-        cells = columns.read(places, None, ROWS).numbers[:ROWS]
-        numbers = np.full((len(cells), len(columns.names)), np.nan)
-        numbers[:, places] = np.where(np.abs(cells) < LARGEST, cells, np.nan)
-        header = not isinstance(columns, TextColumns) or columns.header
-        sheets.append(Sheet(path, None, columns.names, dict(columns.units), numbers, texts, header, bare))
+        )
     return sheets
+
+
+def _nothing_readable(path: Path, recorded: list[Topic]) -> RunError:
+    """Return what says why no topic of a recording can be read."""
+    named = ", ".join(f"{topic.name} ({topic.type})" for topic in recorded)[:200] or "none"
+    if not any(topic.count for topic in recorded):
+        return RunError(f"{path}: holds no message (topics: {named}); give the recording of a run")
+    return RunError(
+        f"{path}: no topic holds messages in cdr of ros2msg, as rosbag2 writes; there are {named}; convert the "
+        "recording where ROS knows its types: `ros2 bag convert` to MCAP"
+    )
+
+
+def _sheet(part: Part, columns: Columns, which: list[int]) -> Sheet:
+    """Return the first rows of some columns of a log."""
+    if len(which) > MOST_COLUMNS:
+        raise RunError(
+            f"{part.path}: {len(which)} columns, at most {MOST_COLUMNS} are looked at; name those of the robot "
+            "in a mapping by hand: docs/mapping.md lists its keys"
+        )
+    bare = [columns.names[k] for k in which]
+    if isinstance(columns, TextColumns | HeldColumns):
+        columns = replace(columns, names=_unique(columns.names))
+    names = [columns.names[k] for k in which]
+    texts: dict[str, list[str]] = {}
+    if isinstance(columns, TextColumns):
+        texts = columns.texts(200)
+    if isinstance(columns, ArrayColumns):
+        texts = {columns.names[k]: columns.texts[k][:200] for k in which if k in columns.texts}
+    places = [k for k in which if columns.names[k] not in texts]
+    cells = columns.read(places, None, ROWS).numbers[:ROWS]
+    numbers = np.full((len(cells), len(names)), np.nan)
+    at = [which.index(k) for k in places]
+    numbers[:, at] = np.where(np.abs(cells) < LARGEST, cells, np.nan)
+    header = not isinstance(columns, TextColumns) or columns.header
+    arrays = isinstance(columns, ArrayColumns)
+    episode = int(numbers[0, names.index(EPISODE)]) if part.kind == "parquet" and EPISODE in names else None
+    file = pattern_of([part])
+    return Sheet(
+        part.given, None, names, dict(columns.units), numbers, texts, header, bare, file=file, indexed=arrays,
+        episode=episode,
+    )  # fmt: skip
 
 
 def _unique(names: list[str]) -> list[str]:
@@ -140,7 +190,7 @@ def time_of(sheet: Sheet) -> tuple[str | None, str, str]:
             rising.append(name)
     for pattern in (_TIMES, _COUNTERS):
         for name in rising:
-            bare = re.sub(r"[\[(].*?[\])]", "", name).strip()
+            bare = re.sub(r"[\[(].*?[\])]", "", _last(sheet, name)).strip()
             if pattern.search(bare):
                 unit, why = _time_unit(sheet, name)
                 return name, unit, f"'{name}' rises throughout; {why}"
@@ -149,6 +199,12 @@ def time_of(sheet: Sheet) -> tuple[str | None, str, str]:
         called = f" '{rising[0]}'" if sheet.header else ""
         return rising[0], unit, f"the first column{called} rises throughout; {why}"
     return None, "rows", "no column tells time"
+
+
+def _last(sheet: Sheet, name: str) -> str:
+    """Return the last word of the path of an array: `u[0]` of `log.signal.u[0]`; another name as it is."""
+    found = re.fullmatch(r".*?([^.\[\]]+(\[[^\]]*\])*(\.[xyz])?)", name)
+    return found[1] if found and sheet.indexed and sheet.topic is None else name
 
 
 def _even(values: Array) -> bool:
@@ -193,6 +249,8 @@ def points_of(sheet: Sheet) -> Triples:
     keep = [k for k, name in enumerate(sheet.names) if name not in sheet.texts]
     names, bare = [sheet.names[k] for k in keep], [(sheet.bare or sheet.names)[k] for k in keep]
     found = find_triples(names, bare, sheet.rows_of, lambda name: sheet.units.get(name) in LENGTH)
+    used = {name for one in [*found.places, *(left.columns for left in found.left)] for name in one}
+    found = replace(found, places=[*found.places, *_elements(sheet, used)])
     bodies = [one for one in found.places if _turns(sheet, one[0])]
     if len(bodies) > 1:  # markers of a rigid body repeat what the body says
         return Triples(bodies, found.left)
@@ -206,6 +264,23 @@ def points_of(sheet: Sheet) -> Triples:
 def _turns(sheet: Sheet, name: str) -> bool:
     """Whether a place has a rotation: it is that of a rigid body of a motion capture."""
     return ".x" in name and name.replace(".x", ".rotation.x") in sheet.names
+
+
+def _elements(sheet: Sheet, used: set[str]) -> list[list[str]]:
+    """Return the places among arrays: of three columns without another meaning, or of 3 M by a name such as markers."""
+    if not sheet.indexed or sheet.topic is not None:
+        return []
+    arrays: dict[str, list[str]] = {}
+    for name in sheet.names:
+        if (found := re.fullmatch(r"(.*)\[\d+\]", name)) and name not in used and not _NO_POINT.search(name):
+            arrays.setdefault(found[1], []).append(name)
+    triples: list[list[str]] = []
+    for stem, names in arrays.items():
+        last = _last(sheet, stem)
+        free = len(names) == 3 and not any(re.search(words, f"{last.lower()}#") for _, words in ROLES)
+        if len(names) % 3 == 0 and (free or _PLACES.search(last)):
+            triples += [names[k : k + 3] for k in range(0, len(names), 3)]
+    return triples
 
 
 def length_unit(points: Array, stated: str | None) -> tuple[str, str]:
@@ -229,7 +304,8 @@ def roles_of(sheet: Sheet, spent: set[str]) -> list[Role]:
     groups: dict[str, list[str]] = {}
     for name in sheet.names:
         if name not in spent and name not in sheet.texts and np.isfinite(sheet.column(name)).any():
-            stem = re.sub(r"\[[^\]]*\]$", "[#]", name) if sheet.topic else re.sub(r"[(\[{](\d+)[)\]}]$", r"\1", name)
+            plain = re.sub(r"[(\[{](\d+)[)\]}]$", r"\1", name)
+            stem = re.sub(r"\[[^\]]*\]$", "[#]", name) if sheet.indexed else plain
             stem = re.sub(r"(^|_)([a-dx-z]|left|right|up|down)(?=_|$)", "_#", re.sub(r"\d+", "#", stem.lower()))
             groups.setdefault(stem, []).append(name)
     roles: list[tuple[int, Role]] = []
@@ -237,7 +313,10 @@ def roles_of(sheet: Sheet, spent: set[str]) -> list[Role]:
         bare = stem.replace("[#]", "#")
         if re.search(r"veloc|effort|accel", bare):
             continue
-        where = [(bare, f"called '{names[0]}'" + ("" if len(names) == 1 else f" to '{names[-1]}'"))]
+        last = _last(sheet, bare)
+        where = [(last, f"called '{names[0]}'" + ("" if len(names) == 1 else f" to '{names[-1]}'"))]
+        if last != bare:
+            where.append((bare, where[0][1]))
         if sheet.topic:
             where.insert(0, (sheet.topic.lower(), f"of topic {sheet.topic}"))
         joint = _JOINTS.search(f"{sheet.topic or ''} {bare} {sheet.kind}") is not None

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass, field
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,8 +34,9 @@ class Found:
     times: dict[int, tuple[str | None, str]] = field(default_factory=dict)
 
 
-def mapping_text(sheets: list[Sheet], files: list[Path], found: Found, frame: list[str]) -> str:
+def mapping_text(sheets: list[Sheet], found: Found, frame: list[str]) -> str:
     """Return the mapping of what was found, with the lines of the frame of its markers."""
+    files = len({sheet.file for sheet in sheets})
     lines = [f'schema = "{SCHEMA}"', '# robot = "…"   # a name']
     unit = found.command[1].unit if found.command is not None else None
     if unit in ANGLE:
@@ -48,7 +48,7 @@ def mapping_text(sheets: list[Sheet], files: list[Path], found: Found, frame: li
     for k, sheet in enumerate(sheets):
         inside = _inside(sheet, found)
         if inside:
-            lines += ["", "[[log]]", *_head(sheet, len(files)), _time(sheet, *found.times[k]), *inside]
+            lines += ["", "[[log]]", *_head(sheet, files), _time(sheet, *found.times[k]), *inside]
     if found.points is not None:
         lines += frame
         sheet = found.points[0]
@@ -71,8 +71,10 @@ def _since_1970(sheet: Sheet, name: str | None, unit: str) -> bool:
 
 
 def _head(sheet: Sheet, files: int) -> list[str]:
-    lines = [f"file = {json.dumps(sheet.path.name)}"] if files > 1 else []
+    lines = [f"file = {json.dumps(sheet.file)}"] if files > 1 else []
     lines += [] if sheet.topic is None else [f"topic = {json.dumps(sheet.topic, ensure_ascii=False)}"]
+    if sheet.episode is not None:
+        lines.append(f"episode = {sheet.episode}   # ASSUMED: the first of the file; each episode is a run of its own")
     return lines + ([] if sheet.header else ["header = false   # columns are numbers from 0"])
 
 

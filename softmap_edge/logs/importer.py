@@ -27,6 +27,7 @@ from softmap_edge.logs.frames import choose_frames, seen
 from softmap_edge.logs.held import unhold
 from softmap_edge.logs.mapping import ANGLE, LENGTH, Mapping, Quantity, read_mapping
 from softmap_edge.logs.plausible import doubts_of_both, doubts_of_rest, doubts_of_rows, doubts_of_time
+from softmap_edge.logs.sources import assign, named, open_parts, parts_of
 from softmap_edge.logs.table import LogTable, read_log
 from softmap_edge.mcap_records import Damage
 from softmap_edge.plane import AXES, PLANE
@@ -53,7 +54,7 @@ def import_logs(paths: Sequence[str | os.PathLike[str]], mapping: Mapping) -> Im
     """Read logs by a mapping; logs that are damaged or were cut give a `RecordingWarning` each.
 
     Args:
-        paths: the logs; which is which the mapping tells by their names.
+        paths: the logs, or folders of a recording; the mapping says by their names which is which.
         mapping: from `read_mapping`.
 
     Raises:
@@ -61,14 +62,17 @@ def import_logs(paths: Sequence[str | os.PathLike[str]], mapping: Mapping) -> Im
     """
     notes: list[str] = []
     doubts: list[str] = []
-    files = _assign([Path(path) for path in paths], mapping)
-    tables = [read_log(path, log) for path, log in zip(files, mapping.logs)]
+    parts = parts_of([Path(path) for path in paths])
+    notes += [note for part in parts for note in part.notes]
+    mapping, logs = assign(parts, mapping)
+    with named(parts):
+        tables = [read_log(one.path, log, open_parts(one.parts, log)) for one, log in zip(logs, mapping.logs)]
     damage = tuple(dict.fromkeys(note for table in tables for note in table.notes if isinstance(note, Damage)))
-    for path, table in zip(files, tables):
-        notes += [f"{path.name}: {note}" for note in table.notes if not isinstance(note, Damage)]
+    for one, table in zip(logs, tables):
+        notes += [f"{one.label}: {note}" for note in table.notes if not isinstance(note, Damage)]
     fields: dict[str, Any] = _timeless(mapping, notes)
     if not fields:
-        doubts += [f"{path.name}: {doubt}" for path, table in zip(files, tables) for doubt in doubts_of_time(table.t)]
+        doubts += [f"{one.label}: {doubt}" for one, table in zip(logs, tables) for doubt in doubts_of_time(table.t)]
     t = _command_rows(tables, mapping, fields, notes, doubts)
     doubts += doubts_of_both(fields)
     t_seen = seen(tables, mapping, t, fields, notes, doubts)
@@ -89,8 +93,9 @@ def import_logs(paths: Sequence[str | os.PathLike[str]], mapping: Mapping) -> Im
         if t_seen is not None:
             fields["t_seen"] = t_seen - zero
         notes.append(f"time counts from {differing(zero, float(t[-1]) + zero)[0]} s of the log")
+    files = list(dict.fromkeys(part.path for one in logs for part in one.parts))
     _constants(files, mapping, fields, notes)
-    made_from = [f"{path.name} sha256 {_sha256(path)}" for path in dict.fromkeys(files)]
+    made_from = [f"{path.name} sha256 {_sha256(path)}" for path in files]
     extra = {name: fields.pop(name) for name in ("base_markers", "marker_labels", PLANE) if name in fields}
     extra |= _looked_for(mapping, fields) | _spool(mapping)
     try:
@@ -136,33 +141,6 @@ def _sha256(path: Path) -> str:
 
 
 # --- the rows of the run -------------------------------------------------------------------
-def _assign(paths: list[Path], mapping: Mapping) -> list[Path]:
-    """The file of each log of the mapping, in the mapping's order."""
-    if len(mapping.logs) == 1 and len(paths) == 1:
-        return paths
-    chosen: list[Path] = []
-    for log in mapping.logs:
-        fits = [path for path in paths if fnmatch.fnmatch(path.name, log.file or "*")]
-        if len(fits) != 1:
-            found = (
-                f"{len(fits)} of the given files fit ({', '.join(path.name for path in fits)})"
-                if fits
-                else "no given file fits"
-            )
-            raise RunError(
-                f"{mapping.path}: log '{log.file or '*'}': {found}; give exactly one, or change `file` in the mapping"
-            )
-        chosen += fits
-    spare = [path.name for path in paths if path not in chosen]
-    topics = {(path, log.topic) for path, log in zip(chosen, mapping.logs)}
-    if spare or len(topics) < len(chosen):
-        named = ", ".join(log.file or "*" for log in mapping.logs)
-        raise RunError(
-            f"{mapping.path}: {', '.join(spare) or 'one file'} fits no log of its own; the mapping has {named}"
-        )
-    return chosen
-
-
 def _command_rows(
     tables: list[LogTable], mapping: Mapping, fields: dict[str, Any], notes: list[str], doubts: list[str]
 ) -> Array | None:

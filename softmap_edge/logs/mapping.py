@@ -88,6 +88,7 @@ class Log:
     base: Quantity | None
     block: Column | None
     output: Measured | None = None
+    episode: int | None = None
 
 
 @dataclass(frozen=True)
@@ -277,6 +278,7 @@ def _log(table: TomlTable, command_unit: str) -> Log:
         base=base,
         block=_column(table, "block"),
         output=measured_of(table),
+        episode=table.whole("episode", None, 0, 10**9),
     )
     if log.decimal == "," and log.delimiter == ",":
         raise RunError(f"{table.where}: comma is both delimiter and decimal; the file cannot be read so")

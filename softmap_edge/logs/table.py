@@ -18,8 +18,12 @@ from softmap_edge.errors import RunError
 from softmap_edge.logs.mapping import Clock, Log
 from softmap_edge.logs.measured import Column
 from softmap_edge.logs.readers.columns import Array, Cells, Columns
-from softmap_edge.logs.readers.mcap_file import MAGIC
-from softmap_edge.logs.readers.mocap import is_motive, is_trc, open_motive, open_trc
+from softmap_edge.logs.readers.kinds import ARRAYS, kind_of
+from softmap_edge.logs.readers.matlab_file import open_hdf5, open_matlab
+from softmap_edge.logs.readers.mocap import open_motive, open_trc
+from softmap_edge.logs.readers.npz_log import open_npz
+from softmap_edge.logs.readers.parquet_log import open_parquet
+from softmap_edge.logs.readers.rosbag_sqlite import open_db3
 from softmap_edge.logs.readers.text import TextColumns, find_delimiter, open_text
 from softmap_edge.time_text import differing
 
@@ -65,7 +69,7 @@ def open_log(path: Path, log: Log | None = None) -> Columns:
     Raises:
         RunError: it is absent, damaged, or in no format that is read here.
     """
-    kind = _format(path)
+    kind = kind_of(path)
     if kind == "c3d":
         from softmap_edge.logs.readers.c3d_file import open_c3d
 
@@ -74,8 +78,14 @@ def open_log(path: Path, log: Log | None = None) -> Columns:
         from softmap_edge.logs.readers.mcap_file import open_mcap
 
         return open_mcap(path, None if log is None else log.topic)
+    if kind == "db3":
+        return open_db3(path, None if log is None else log.topic)
     if log is not None and log.topic is not None:
         raise RunError(f"{path}: topic = '{log.topic[:60]}' is for MCAP files, and this is none; leave it out")
+    if kind == "parquet":
+        return open_parquet(path) if log is None else open_parquet(path, log.episode)
+    if kind in ARRAYS:
+        return {"mat": open_matlab, "hdf5": open_hdf5}.get(kind, open_npz)(path)
     if kind in ("trc", "motive"):
         return open_trc(path) if kind == "trc" else open_motive(path)
     skip_rows, skip_last, header = (0, 0, None) if log is None else (log.skip_rows, log.skip_last_rows, log.header)
@@ -83,31 +93,18 @@ def open_log(path: Path, log: Log | None = None) -> Columns:
     return open_text(path, delimiter, decimal, header, skip_rows, skip_last)
 
 
-def _format(path: Path) -> str:
-    """The format of a log by its ending, else by how it begins."""
-    ending = path.suffix.lower()[1:]
-    if ending in ("c3d", "mcap", "trc"):
-        return ending
-    if path.exists() and not path.is_file():  # a pipe would be waited for
-        raise RunError(f"{path}: {'a folder' if path.is_dir() else 'no file'}; give the path of a log")
-    try:
-        with path.open("rb") as file:
-            start = file.read(64)
-    except OSError as cause:
-        raise RunError(f"{path}: cannot be read ({cause.strerror or cause}); give the path of a log") from cause
-    if start.startswith(MAGIC):
-        return "mcap"
-    text = start.removeprefix(b"\xef\xbb\xbf").decode("latin-1")
-    return "trc" if is_trc(text) else "motive" if is_motive(text) else "csv"
-
-
-def read_log(path: Path, log: Log) -> LogTable:
+def read_log(path: Path, log: Log, columns: Columns | None = None) -> LogTable:
     """Read the columns of one log that the mapping names.
+
+    Args:
+        path: the log.
+        log: what the mapping says of it.
+        columns: the log, if it is open already.
 
     Raises:
         RunError: the file is absent or too large, a column is missing, or a line cannot be read.
     """
-    columns = open_log(path, log)
+    columns = open_log(path, log) if columns is None else columns
     names = columns.names
     wanted: list[Column] = [column for quantity in log.rows.values() for column in quantity.columns]
     wanted += [column for points in (log.markers, log.base) if points is not None for column in points.columns]

@@ -30,7 +30,7 @@ def open_c3d(path: Path) -> HeldColumns:
     try:
         import c3d
     except ImportError:
-        raise RunError(f"{path}: C3D needs the package c3d; run pip install 'softmap-edge[capture]'") from None
+        raise RunError(f"{path}: C3D needs the package c3d; run pip install 'softmap-edge[logs]'") from None
     try:
         if path.stat().st_size > LIMIT:
             raise RunError(f"{path}: {path.stat().st_size} bytes, at most {LIMIT} are read; split the recording")

@@ -21,6 +21,9 @@ PRIMITIVES |= {"int32": "i", "uint32": "I", "int64": "q", "uint64": "Q", "float3
 LONGEST = 1024  # elements of a sequence that become columns
 MOST = 4096  # numbers of one message
 _DEEPEST = 16  # types within types
+_PADDING = 8  # bytes after a message that some writers leave
+_ZSTD = b"\x28\xb5\x2f\xfd"
+_LARGEST = 2**26  # bytes of one message when unpacked
 _BYTES = ("byte", "char", "int8", "uint8")
 _TIMES = ("builtin_interfaces/Time", "builtin_interfaces/Duration")
 _FIELD = re.compile(r"^([\w/]+)(<=\d+)?(\[(?:<=)?\d*\])?\s+(\w+)")
@@ -91,19 +94,45 @@ def _field(line: str, owner: str) -> Field | None:
 
 
 # --- messages ------------------------------------------------------------------------------
-def read_message(name: str, types: Types, data: bytes) -> dict[str, float]:
+def read_message(name: str, types: Types, data: bytes, complete: bool = False) -> dict[str, float]:
     """Return the numbers of a message by their names, in its order.
+
+    Args:
+        name: the type, such as `sensor_msgs/msg/JointState`.
+        types: its fields, of `parse_definition`.
+        data: the message, as CDR; packed by zstd where rosbag2 packed each message.
+        complete: whether the message must be used up to its last byte, but for padding.
 
     Raises:
         CdrError: the bytes do not fit the definition.
     """
-    reader = _Reader(data)
+    reader = _Reader(_plain(data))
     numbers: dict[str, float] = {}
     try:
         _struct(_short(name), types, reader, "", numbers, 0)
     except struct.error:
         raise CdrError("a message ends early") from None
+    if complete and len(reader.data) - reader.at >= _PADDING:
+        raise CdrError(f"{len(reader.data) - reader.at} bytes of a message are left over")
     return numbers
+
+
+def _plain(data: bytes) -> bytes:
+    """Return a message as CDR, unpacked where rosbag2 packed each message by itself."""
+    if not data.startswith(_ZSTD):
+        return data
+    try:
+        import zstandard
+    except ImportError:
+        raise CdrError("messages packed by zstd need zstandard; run pip install 'softmap-edge[logs]'") from None
+    try:
+        with zstandard.ZstdDecompressor(max_window_size=_LARGEST).stream_reader(data) as stream:
+            plain = bytes(stream.read(_LARGEST + 1))
+    except zstandard.ZstdError:
+        raise CdrError("a message packed by zstd is damaged") from None
+    if len(plain) > _LARGEST:
+        raise CdrError(f"a message packed by zstd holds more than {_LARGEST} bytes")
+    return plain
 
 
 class _Reader:

@@ -62,9 +62,7 @@ class Messages:
         try:
             import mcap.records  # noqa: F401 - asked for here, once
         except ImportError:
-            raise RunError(
-                f"{self._path}: MCAP needs the package mcap; run pip install 'softmap-edge[capture]'"
-            ) from None
+            raise RunError(f"{self._path}: MCAP needs the package mcap; run pip install 'softmap-edge[logs]'") from None
         try:
             yield from self._read()
         except OSError as cause:
@@ -191,7 +189,7 @@ def unpacked(chunk: Chunk) -> bytes:
         data = _unpack(chunk)
     except ImportError:
         raise RunError(
-            f"chunks packed by {chunk.compression} need a package; run pip install 'softmap-edge[capture]'"
+            f"chunks packed by {chunk.compression} need a package; run pip install 'softmap-edge[logs]'"
         ) from None
     except Bad:
         raise

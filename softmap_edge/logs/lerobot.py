@@ -1,0 +1,137 @@
+"""What LeRobot writes around its data: `meta/info.json` of a dataset, and the calibration of an arm.
+
+A dataset holds many episodes of one robot in Parquet files; its info names the elements of `action` and
+`observation.state`. A calibration says which raw ticks each motor may take; it holds no length, so it is no calibration
+of a tendon, and it is explained instead of used. Reference: LeRobot's dataset format v2.1 and v3.0, `MotorCalibration`.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from softmap_edge.errors import RunError, brief
+
+EITHER_UNIT = (
+    "whether the dataset holds degrees or LeRobot's values from -100 to 100 (a gripper's from 0 to 100); "
+    "the arm's calibration turns the latter into ticks (docs/mapping.md)"
+)
+INFO = Path("meta") / "info.json"
+_SIZE = 2**24  # bytes of an info
+_MOST = 4096  # elements of one feature
+_KEYS = {"id", "homing_offset", "range_min", "range_max"}
+_SHOWN = 4  # motors that a message lists
+
+
+@dataclass(frozen=True)
+class Info:
+    """What a dataset says of itself.
+
+    Attributes:
+        version: `v3.0`.
+        fps: rows a second, if given.
+        names: of a feature, what its elements are called.
+    """
+
+    version: str
+    fps: float | None
+    names: dict[str, list[str]] = field(default_factory=dict)
+
+
+def is_dataset(folder: Path) -> bool:
+    """Whether a folder is a dataset of LeRobot."""
+    return (folder / INFO).is_file()
+
+
+def dataset_files(folder: Path) -> list[Path]:
+    """Return the Parquet files of a dataset, in the order of their names.
+
+    Raises:
+        RunError: there are none.
+    """
+    files = sorted((folder / "data").glob("chunk-*/*.parquet"))
+    if not files:
+        raise RunError(f"{folder}: is a LeRobot dataset without data/chunk-*/*.parquet; download its data as well")
+    return files
+
+
+def info_near(path: Path) -> Info | None:
+    """Return the info of the dataset that a Parquet file belongs to: two folders above data/chunk-000/.
+
+    Raises:
+        RunError: it is there, and cannot be read.
+    """
+    place = path.absolute().parents
+    folder = place[2] if len(place) > 2 else place[0]
+    return read_info(folder / INFO) if is_dataset(folder) else None
+
+
+def read_info(path: Path) -> Info:
+    """Read the info of a dataset.
+
+    Raises:
+        RunError: it is too large or damaged.
+    """
+    try:
+        if path.stat().st_size > _SIZE:
+            raise RunError(f"{path}: {path.stat().st_size} bytes, at most {_SIZE} are read; download it again")
+        document = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as cause:
+        raise RunError(f"{path}: cannot be read ({cause.strerror or cause}); download it again") from cause
+    except (ValueError, RecursionError) as fault:
+        raise RunError(f"{path}: is no JSON ({brief(fault)}); download it again") from None
+    features = document.get("features") if isinstance(document, dict) else None
+    if not isinstance(features, dict):
+        raise RunError(f"{path}: has no `features`; expected the info of a LeRobot dataset")
+    fps = document.get("fps")
+    known = isinstance(fps, int | float) and not isinstance(fps, bool) and 1e-3 <= fps <= 1e5
+    names = {name: found for name, feature in list(features.items())[:_MOST] if (found := _names(feature))}
+    return Info(str(document.get("codebase_version", ""))[:20], float(fps) if known else None, names)
+
+
+def _names(feature: Any) -> list[str]:
+    """Return the names of the elements of a feature: a list, or a list in a table (`{"motors": […]}`)."""
+    names = feature.get("names") if isinstance(feature, dict) else None
+    if isinstance(names, dict):
+        lists = [value for value in names.values() if isinstance(value, list)]
+        names = lists[0] if len(lists) == 1 else None
+    if not isinstance(names, list) or not 0 < len(names) <= _MOST:
+        return []
+    return [name[:80] for name in names] if all(isinstance(name, str) for name in names) else []
+
+
+# --- calibration ---------------------------------------------------------------------------
+def explained(document: Any) -> str | None:
+    """Return what a calibration of LeRobot says and what to do with it; None for another document."""
+    if not isinstance(document, dict) or not 0 < len(document) <= _MOST:
+        return None
+    motors = {str(name): motor for name, motor in document.items() if isinstance(motor, dict) and motor.keys() >= _KEYS}
+    if len(motors) != len(document):
+        return None
+    listed = ", ".join(_motor(name, motor) for name, motor in list(motors.items())[:_SHOWN])
+    more = f" and {len(motors) - _SHOWN} more" if len(motors) > _SHOWN else ""
+    first = next(iter(motors.values()))
+    return (
+        f"is the calibration of a LeRobot arm, no log: {listed}{more}. It says which ticks each motor may take, not "
+        f"how many mm a tick moves. Import the dataset itself; values from -100 to 100 become ticks in the mapping by "
+        f"ticks = {{ columns = [ONE], {_line(first)} }} of each motor, and `softmap calibrate` finds their mm"
+    )
+
+
+def _motor(name: str, motor: dict[str, Any]) -> str:
+    return f"{name[:20]} (id {_short(motor['id'])}, {_short(motor['range_min'])} to {_short(motor['range_max'])})"
+
+
+def _short(value: Any) -> str:
+    return f"{value:g}" if isinstance(value, int | float) and abs(value) < 1e9 else "?"
+
+
+def _line(motor: dict[str, Any]) -> str:
+    """Return scale and offset of the ticks of one motor, as a mapping writes them."""
+    low, high = motor["range_min"], motor["range_max"]
+    if not all(isinstance(x, int | float) and abs(x) < 1e9 for x in (low, high)):
+        return "scale = (range_max - range_min) / 200, offset = (range_max + range_min) / 2"
+    sign = -1 if motor.get("drive_mode") else 1
+    return f"scale = {sign * (high - low) / 200:g}, offset = {(high + low) / 2:g}"

@@ -1,0 +1,184 @@
+"""Finds the format of a log by its first bytes, and for a format that is not read names it and the way out.
+
+A name decides only where the bytes say nothing (.c3d, .trc, .mat of MATLAB 4). Pinned by tests/test_formats.py.
+"""
+
+from __future__ import annotations
+
+import json
+import zipfile
+from pathlib import Path
+
+from softmap_edge.errors import RunError
+from softmap_edge.logs.readers.mcap_file import MAGIC
+from softmap_edge.logs.readers.mocap import is_motive, is_trc
+from softmap_edge.logs.readers.packed import GZIP, ZSTD
+from softmap_edge.logs.readers.rosbag_sqlite import MAGIC as SQLITE
+
+RECORDINGS = ("mcap", "db3")  # several topics, stamped with the time of recording
+ARRAYS = ("npz", "npy", "mat", "hdf5", "parquet")
+PACKED = ("zstd", "gzip")
+HDF5 = b"\x89HDF\r\n\x1a\n"
+_HEAD = 4096  # bytes of a file that are looked at
+_TAIL = 2**16 + 300  # bytes at the end of an archive that may hold its last record
+_CONTENTS = 2**20  # bytes of an archive's table of contents
+_SURE = 8  # letters with which a text hardly begins
+_READ: tuple[tuple[bytes, str], ...] = (
+    (MAGIC, "mcap"),
+    (SQLITE, "db3"),
+    (b"\x93NUMPY", "npy"),
+    (HDF5, "hdf5"),
+    (b"PAR1", "parquet"),
+)
+_READ += ((ZSTD, "zstd"), (GZIP, "gzip"), (b"MATLAB 5.0 MAT-file", "mat"), (b"MATLAB 7.3 MAT-file", "hdf5"))
+_CONVERT_BAG = "`rosbags-convert --src {file} --dst FOLDER` (pip install rosbags)"
+_BAG = f"a ROS 1 bag: convert it with {_CONVERT_BAG}"
+_SHEET = "save the sheet as CSV"
+_PACK = "unpack it and give the log inside"
+_CONVERT = "export its signals as CSV or MCAP"
+_PICTURE = "a picture or video, no log; give the log of the recording"
+# What begins so is not read: bytes, what it is and what to do.
+_FOREIGN: tuple[tuple[bytes, str], ...] = (
+    (b"#ROSBAG V", _BAG),
+    (b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1", f"an old spreadsheet or document (.xls): {_SHEET}"),
+    (b"TDSm", "a LabVIEW TDMS file: open it in Excel with NI's TDM add-in and save it as CSV, or write LVM instead"),
+    (b"ULog\x01\x12\x35", "a PX4 ULog: convert it with `ulog2csv {file}`"),
+    (b"RRF", f"a Rerun recording: {_CONVERT}"),
+    (b"MDF     ", f"an ASAM MDF file: {_CONVERT}"),
+    (b"LOGG", f"a CAN log (.blf): {_CONVERT}"),
+    (b"ARROW1", "an Arrow or Feather file: write it as Parquet, with `pyarrow.parquet.write_table`"),
+    (b"FEA1", "an old Feather file: write it as Parquet, with `pyarrow.parquet.write_table`"),
+    (b"Obj\x01", "an Avro file: write it as Parquet or CSV"),
+    (b"7z\xbc\xaf\x27\x1c", f"a 7z archive: {_PACK}"),
+    (b"Rar!\x1a\x07", f"a RAR archive: {_PACK}"),
+    (b"\xfd7zXZ", f"packed by xz: {_PACK} (`xz -dk {{file}}`)"),
+    (b"BZh", f"packed by bzip2: {_PACK} (`bzip2 -dk {{file}}`)"),
+    (b"\x04\x22\x4d\x18", f"packed by lz4: {_PACK} (`lz4 -d {{file}}`)"),
+    (b"%PDF-1.", "a PDF document; give the log of the recording"),
+    (b"\x89PNG", _PICTURE),
+    (b"\xff\xd8\xff", _PICTURE),
+    (b"\x1aE\xdf\xa3", _PICTURE),
+    (b"\x7fELF", "a program; give the log of the recording"),
+    (b"HIERARCHY", "a BVH motion file: export the positions of the markers as C3D, TRC or CSV"),
+    (b"Kaydara FBX", "an FBX file: export the positions of the markers as C3D, TRC or CSV"),
+    (b"# Created by Octave", "Octave's text format: save it with `save -v7 FILE.mat`, or as CSV"),
+)
+
+
+def kind_of(path: Path) -> str:
+    """Return the format of a log.
+
+    Returns:
+        One of c3d, mcap, db3, npz, npy, mat, hdf5, parquet, zstd, gzip, trc, motive and csv.
+
+    Raises:
+        RunError: it cannot be read, or is of a format that is not read here.
+    """
+    if path.exists() and not path.is_file():  # a pipe would be waited for
+        raise RunError(f"{path}: {'a folder' if path.is_dir() else 'no file'}; give the path of a log")
+    try:
+        with path.open("rb") as file:
+            start = file.read(_HEAD)
+    except OSError as cause:
+        raise RunError(f"{path}: cannot be read ({cause.strerror or cause}); give the path of a log") from cause
+    for magic, kind in _READ:
+        if start.startswith(magic) and not _like_text(magic, start):
+            return _checked_mcap(path, start) if kind == "mcap" else kind
+    if start[512:520] == HDF5 or start[1024:1032] == HDF5 or start[2048:2056] == HDF5:
+        return "hdf5"
+    if start.startswith(b"PK\x03\x04") or start.startswith(b"PK\x05\x06"):
+        return _of_zip(path)
+    _refuse_foreign(path, start)
+    ending = path.suffix.lower()[1:]
+    if ending in ("c3d", "trc", "mat", "mcap"):
+        return ending
+    text = start.removeprefix(b"\xef\xbb\xbf").decode("latin-1")
+    _refuse_calibration(path, text)
+    return "trc" if is_trc(text) else "motive" if is_motive(text) else "csv"
+
+
+def _refuse_foreign(path: Path, start: bytes) -> None:
+    """Raise what names a format that is not read."""
+    for magic, what in _FOREIGN:
+        if start.startswith(magic) and not _like_text(magic, start):
+            raise _not_read(path, what)
+    if start[4:8] == b"ftyp" or (start.startswith(b"RIFF") and start[8:12] in (b"AVI ", b"WAVE")):
+        raise _not_read(path, _PICTURE)
+    if start[257:262] == b"ustar":
+        raise _not_read(path, f"a tar archive: {_PACK}")
+    if len(start) > 2 and start[0] == 0x80 and start[1] in (2, 3, 4, 5):
+        raise _not_read(
+            path, "a Python pickle, which could run code and is never read: save the arrays with numpy.savez"
+        )
+
+
+def _like_text(magic: bytes, start: bytes) -> bool:
+    """Whether a file may be text whose first word happens to be a format's: a column called `PAR1` or `LOGGED`."""
+    return len(magic) < _SURE and magic.isalnum() and b"\0" not in start
+
+
+def _not_read(path: Path, what: str) -> RunError:
+    return RunError(f"{path}: is {what.format(file=path.name)}")
+
+
+def _checked_mcap(path: Path, start: bytes) -> str:
+    """Return `mcap`; raise RunError where its header says that it holds ROS 1 messages."""
+    length = int.from_bytes(start[17:21], "little")
+    if start[8:9] == b"\x01" and start[21 : 21 + min(length, 16)] == b"ros1":
+        bag = _CONVERT_BAG.format(file="FILE.bag")
+        raise _not_read(path, f"an MCAP file of ROS 1 messages: convert the bag that it was made of with {bag}")
+    return "mcap"
+
+
+def _of_zip(path: Path) -> str:
+    """Return `npz`; raise RunError for another kind of archive."""
+    try:
+        check_contents(path)
+        with zipfile.ZipFile(path) as archive:
+            names = archive.namelist()[:1000]
+    except RunError:
+        raise
+    except Exception as fault:  # zipfile raises a dozen kinds on damaged files
+        if path.suffix.lower() == ".npz":
+            return "npz"
+        raise RunError(f"{path}: is a damaged archive ({type(fault).__name__}); copy it again") from None
+    if any(name.startswith("xl/") for name in names):
+        raise _not_read(path, f"a spreadsheet (.xlsx): {_SHEET}")
+    if "content.xml" in names:
+        raise _not_read(path, f"an OpenDocument file (.ods): {_SHEET}")
+    if names and all(name.endswith(".npy") for name in names):
+        return "npz"
+    if path.suffix.lower() == ".npz":
+        return "npz"
+    raise _not_read(path, f"a zip archive: {_PACK}")
+
+
+def check_contents(path: Path) -> None:
+    """Refuse an archive whose table of contents is too large, before `zipfile` takes memory for each entry.
+
+    Raises:
+        RunError: it is.
+    """
+    with path.open("rb") as file:
+        file.seek(max(0, file.seek(0, 2) - _TAIL))
+        tail = file.read()
+    at = tail.rfind(b"PK\5\6")
+    size = int.from_bytes(tail[at + 12 : at + 16], "little") if at >= 0 else 0
+    if size > _CONTENTS or b"PK\6\6" in tail[max(0, at - 200) : at]:
+        raise RunError(
+            f"{path}: an archive of too many entries or bytes to be a log; unpack it and give the log inside"
+        )
+
+
+def _refuse_calibration(path: Path, text: str) -> None:
+    """Raise what explains a calibration of LeRobot, which is no log."""
+    if not text.lstrip().startswith("{") or '"homing_offset"' not in text:
+        return
+    from softmap_edge.logs.lerobot import explained
+
+    try:
+        document = json.loads(path.read_text(encoding="utf-8")) if path.stat().st_size < 2**20 else None
+    except (OSError, ValueError, RecursionError):
+        return
+    if explanation := explained(document):
+        raise RunError(f"{path}: {explanation}")

@@ -1,0 +1,53 @@
+"""Gathers decoded messages of one topic as a table: a row a message, columns by name, `time` and `log_time`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softmap_edge.errors import RunError
+from softmap_edge.logs.readers.columns import Array, HeldColumns
+
+NUMBERS = 2**27  # numbers of one topic: 1 GiB
+
+
+class MessageRows:
+    """The messages of a topic so far; a number that a message lacks is NaN in its row."""
+
+    def __init__(self, path: Path, topic: str) -> None:
+        self.path, self.topic = path, topic
+        self.index: dict[str, int] = {}  # column → place
+        self.shapes: dict[tuple[str, ...], NDArray[np.int64]] = {}  # names of a message → the places of its numbers
+        self.rows: list[tuple[NDArray[np.int64], Array]] = []
+
+    def add(self, numbers: dict[str, float], logged: float) -> None:
+        """Add a message.
+
+        Args:
+            numbers: of the message, by name.
+            logged: when it was recorded, s.
+
+        Raises:
+            RunError: the topic holds too many numbers.
+        """
+        stamp = numbers.get("header.stamp", 0.0)
+        numbers = {"time": 0.0} | numbers | {"time": stamp or logged, "log_time": logged}
+        names = tuple(numbers)
+        if names not in self.shapes:
+            self.shapes[names] = np.array([self.index.setdefault(name, len(self.index)) for name in names])
+        self.rows.append((self.shapes[names], np.array(list(numbers.values()))))
+        if (len(self.rows) + 1) * len(self.index) > NUMBERS:
+            raise RunError(f"{self.path}: topic {self.topic[:60]} holds more than {NUMBERS} numbers; cut the recording")
+
+    def columns(self, notes: tuple[str, ...] = (), by_time: bool = False) -> HeldColumns:
+        """Return the table; there must be a row. `by_time` puts rows in the order of `log_time`."""
+        table = np.full((len(self.rows), len(self.index)), np.nan)
+        for k, (places, values) in enumerate(self.rows):
+            table[k, places] = values
+        if by_time:
+            table = table[np.argsort(table[:, self.index["log_time"]], kind="stable")]
+        if len(np.unique(table[:, 0])) == 1 < len(table):  # stamps that were never set
+            table[:, 0] = table[:, self.index["log_time"]]
+        return HeldColumns(self.path, list(self.index), table, where="message", notes=notes)

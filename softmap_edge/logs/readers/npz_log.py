@@ -1,0 +1,147 @@
+"""Reads the arrays of a log in NumPy's formats: `.npz` by name, `.npy` as one array called `data`.
+
+Never unpickles: arrays of Python objects are left out and named. Sizes are checked against the archive before anything
+is unpacked, and the checksums of the archive are checked. Arrays with named fields become one column a field.
+"""
+
+from __future__ import annotations
+
+import io
+import zipfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softmap_edge.errors import RunError, brief
+from softmap_edge.logs.readers.arrays import MOST_COLUMNS, ArrayColumns, columns_of_arrays
+from softmap_edge.logs.readers.in_child import MOST
+
+LIMIT = 2**29  # bytes of all arrays when unpacked
+_ENTRIES = 1000
+_HEADER = 10_000  # characters of the header of an array
+
+
+def open_npz(path: Path) -> ArrayColumns:
+    """Read the arrays of a log.
+
+    Raises:
+        RunError: the file is damaged or too large, is a run, or no array in it holds columns of numbers.
+    """
+    arrays: dict[str, NDArray[Any]] = {}
+    texts: dict[str, list[str]] = {}
+    left_out: list[str] = []
+    try:
+        for name, array in _arrays(path, left_out):
+            _sort(name, array, arrays, texts, left_out)
+    except RunError:
+        raise
+    except Exception as fault:  # zipfile, zlib, ast and tokenize raise a dozen kinds on damaged files
+        why = brief(fault) or type(fault).__name__
+        raise RunError(f"{path}: is a damaged NumPy file ({why}); save it again") from None
+    if "t" in arrays and any(entry.startswith("command_unit ") for entry in left_out):
+        raise RunError(f"{path}: is a run already; `softmap check {path.name}` says what it can identify")
+    if sum(array.size for array in arrays.values()) > MOST:
+        raise RunError(f"{path}: holds more than {MOST} numbers; split the log")
+    return columns_of_arrays(path, arrays, texts, left_out=left_out)
+
+
+def _arrays(path: Path, left_out: list[str]) -> Iterator[tuple[str, NDArray[Any]]]:
+    """Every array of a file that holds no Python objects, by its name."""
+    with path.open("rb") as file:
+        if file.read(6) == b"\x93NUMPY":
+            size = path.stat().st_size
+            if size > LIMIT:
+                raise RunError(f"{path}: {size} bytes, at most {LIMIT} are read; split the log")
+            file.seek(0)
+            array = _array(file, size)
+            if array is not None:
+                yield "data", array
+            else:
+                left_out.append("the array (Python objects)")
+            return
+    with zipfile.ZipFile(path) as archive:
+        entries = archive.infolist()
+        total = sum(entry.file_size for entry in entries)
+        if total > LIMIT or len(entries) > _ENTRIES:
+            raise RunError(
+                f"{path}: {len(entries)} arrays of {total} bytes when unpacked, at most {_ENTRIES} of {LIMIT} are read"
+            )
+        for entry in entries:
+            name = entry.filename.removesuffix(".npy")
+            with archive.open(entry) as stream:
+                array = _array(stream, entry.file_size)
+                if array is not None and stream.read(1):
+                    raise ValueError(f"'{name[:60]}' is longer than its shape")
+            if array is None:
+                left_out.append(f"{name} (Python objects, which are never read)")
+            else:
+                yield name, array
+
+
+def _array(stream: IO[bytes], size: int) -> NDArray[Any] | None:
+    """Return one array; None where it holds Python objects."""
+    version = np.lib.format.read_magic(stream)
+    if version not in ((1, 0), (2, 0)):
+        raise ValueError(f"array format {version}")
+    read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+    shape, turned, dtype = read(stream, max_header_size=_HEADER)
+    if dtype.hasobject:
+        return None
+    if any(n < 0 for n in shape):
+        raise ValueError(f"shape {shape}")
+    bytes_ = int(np.prod(shape, dtype=object)) * dtype.itemsize
+    if bytes_ > size:
+        raise ValueError(f"shape {shape} of {dtype} needs {bytes_} bytes, {size} are there")
+    data = bytearray(bytes_)
+    view, at = memoryview(data), 0
+    while at < bytes_:
+        piece = stream.read(min(bytes_ - at, 2**22))
+        if not piece:
+            raise ValueError(f"{at} of {bytes_} bytes are there")
+        view[at : at + len(piece)] = piece
+        at += len(piece)
+    return np.ndarray(shape, dtype, io.BytesIO(data).getbuffer(), order="F" if turned else "C")
+
+
+def _sort(
+    name: str, array: NDArray[Any], arrays: dict[str, NDArray[Any]], texts: dict[str, list[str]], left_out: list[str]
+) -> None:
+    """Put an array among the numbers, the texts, or what is left out."""
+    if name in arrays or name in texts:
+        raise ValueError(f"two arrays are called '{name[:60]}'")
+    if array.dtype.names is not None:
+        for key in array.dtype.names[:MOST_COLUMNS]:
+            _sort(f"{name}.{key}", array[key], arrays, texts, left_out)
+    elif array.dtype.kind in "biuf":
+        arrays[name] = array
+    elif array.dtype.kind in "mM":
+        arrays[name] = seconds_of(array)
+    elif array.dtype.kind in "US" and array.ndim == 1:
+        texts[name] = _texts(array)
+    else:
+        left_out.append(f"{name} ({_what(array)})")
+
+
+def seconds_of(times: NDArray[Any]) -> NDArray[np.float64]:
+    """Return dates (since 1970) or durations in s; NaN where there is none."""
+    absent = np.isnat(times)
+    unit = f"{times.dtype.kind}8[ns]"
+    seconds = times.astype(unit.replace("ns", "s"))
+    rest = (times.astype(unit) - seconds.astype(unit)).astype(np.int64)
+    return np.asarray(np.where(absent, np.nan, seconds.astype(np.int64) + 1e-9 * rest))
+
+
+def _texts(array: NDArray[Any]) -> list[str]:
+    if array.dtype.kind == "S":
+        return [bytes(text).decode("utf-8", "replace") for text in array]
+    points = np.ascontiguousarray(array).astype(array.dtype.newbyteorder("=")).view(np.uint32)
+    if array.dtype.itemsize and points.size and int(points.max()) > 0x10FFFF:
+        raise ValueError("it holds text that is not Unicode")
+    return [str(text) for text in array]
+
+
+def _what(array: NDArray[Any]) -> str:
+    return {"c": "complex numbers", "V": "bytes"}.get(array.dtype.kind, f"text of shape {array.shape}")

@@ -1,0 +1,107 @@
+"""Unpacks a log that was packed as a file: `.mcap.zstd` of rosbag2, `.csv.gz`.
+
+The unpacked file lies in a temporary folder as long as the object that `unpack` returns is kept. At most LIMIT bytes
+are unpacked, and never more than half of what is free on the disk; checksums that the packing carries are checked.
+"""
+
+from __future__ import annotations
+
+import gzip
+import shutil
+import tempfile
+import weakref
+import zlib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, BinaryIO
+
+from softmap_edge.errors import RunError, brief
+
+ZSTD = b"\x28\xb5\x2f\xfd"
+GZIP = b"\x1f\x8b\x08"
+LIMIT = 2**32  # bytes when unpacked
+_PIECE = 2**20  # bytes at a time
+_SMALL = 2**11  # packed bytes at a time: each block of 4 bytes may unpack to 128 KiB
+_WINDOW = 2**27  # bytes that zstd may look back: what `zstd -d` takes
+_ENDINGS = (".zstd", ".zst", ".gz")
+
+
+@dataclass(frozen=True, eq=False)
+class Unpacked:
+    """A file that was unpacked; its folder is removed together with this object."""
+
+    file: Path
+
+    def __post_init__(self) -> None:
+        weakref.finalize(self, shutil.rmtree, self.file.parent, True)
+
+
+def unpack(path: Path) -> Unpacked:
+    """Unpack a file packed by zstd or gzip into a temporary folder, under its name without the last ending.
+
+    Raises:
+        RunError: `zstandard` is not installed, or the file is damaged or too large.
+    """
+    name = path.name.removesuffix(path.suffix) if path.suffix.lower() in _ENDINGS else path.name
+    found = Unpacked(Path(tempfile.mkdtemp(prefix="softmap-")) / name)
+    try:
+        _unpack(path, found.file)
+    except BaseException:
+        shutil.rmtree(found.file.parent, True)
+        raise
+    return found
+
+
+def _unpack(path: Path, file: Path) -> None:
+    """Write what is packed in `path` to `file`."""
+    room = min(LIMIT, shutil.disk_usage(file.parent).free // 2)
+    total = 0
+    try:
+        with path.open("rb") as packed, file.open("wb") as plain:
+            for piece in _pieces(path, packed):
+                total += len(piece)
+                if total > room:
+                    raise RunError(
+                        f"{path}: holds more than {room} bytes when unpacked; unpack it yourself and split it"
+                    )
+                plain.write(piece)
+    except (EOFError, gzip.BadGzipFile, zlib.error) as fault:
+        raise RunError(f"{path}: is a damaged packed file ({brief(fault)}); copy it again") from None
+    except OSError as cause:
+        raise RunError(f"{path}: cannot be unpacked ({cause.strerror or cause}); unpack it yourself") from cause
+
+
+def _pieces(path: Path, packed: BinaryIO) -> Iterator[bytes]:
+    """The content of a packed file, piece by piece."""
+    start = packed.read(4)
+    packed.seek(0)
+    if start.startswith(GZIP):
+        with gzip.GzipFile(fileobj=packed) as stream:
+            while piece := stream.read(_PIECE):
+                yield piece
+        return
+    try:
+        import zstandard
+    except ImportError:
+        raise RunError(
+            f"{path}: files packed by zstd need zstandard; run pip install 'softmap-edge[logs]', or zstd -d {path.name}"
+        ) from None
+    try:
+        yield from _frames(zstandard.ZstdDecompressor(max_window_size=_WINDOW), packed)
+    except zstandard.ZstdError as fault:
+        raise RunError(f"{path}: is a damaged packed file ({brief(fault)}); copy it again") from None
+
+
+def _frames(packer: Any, packed: BinaryIO) -> Iterator[bytes]:
+    """The content of frames of zstd; a piece of _SMALL bytes holds 64 MiB at most."""
+    frame = None
+    while piece := packed.read(_SMALL):
+        while piece:
+            frame = packer.decompressobj() if frame is None else frame
+            yield frame.decompress(piece)
+            ended = frame.eof
+            piece = frame.unused_data if ended else b""
+            frame = None if ended else frame
+    if frame is not None:
+        raise EOFError("it ends early")

@@ -1,0 +1,135 @@
+"""Finds the files of a recording that is a folder: rosbag2's, with `metadata.yaml`, or a LeRobot dataset.
+
+Of metadata.yaml only the list of files is read, and of each only its name: a path out of the folder leads nowhere.
+Without metadata.yaml, as an interrupted recorder leaves it, the recordings in the folder are its files.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+from softmap_edge.errors import RunError
+from softmap_edge.logs.lerobot import dataset_files, is_dataset
+
+METADATA = "metadata.yaml"
+_ENDINGS = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd", ".mcap.zst", ".db3.zst")
+_KEY = re.compile(r"^(?P<indent> *)relative_file_paths:[ \t]*(?P<rest>.*)$", re.MULTILINE)
+_ITEM = re.compile(r"^(?P<indent> *)-[ \t]+(?P<item>\S.*?)[ \t]*$")
+_MOST = 10_000  # entries of a folder
+_LONGEST = 2**24  # bytes of a metadata.yaml that are read
+
+
+@dataclass(frozen=True)
+class Folder:
+    """The files of a recording and what to know about them."""
+
+    files: tuple[Path, ...]
+    notes: tuple[str, ...] = ()
+
+
+def files_of(folder: Path) -> Folder:
+    """Return the files of a recording that is a folder.
+
+    Raises:
+        RunError: it is no recording, or a file that metadata.yaml names is not there.
+    """
+    if is_dataset(folder):
+        return Folder(tuple(dataset_files(folder)))
+    inside = _inside(folder)
+    recordings = [path for path in inside if path.name.lower().endswith(_ENDINGS)]
+    if not (folder / METADATA).is_file():
+        if recordings:
+            return Folder(
+                tuple(recordings), (f"{folder.name} has no {METADATA}: the recorder was interrupted, or it is lost",)
+            )
+        raise RunError(f"{folder}: a folder without a recording: {_what(folder, inside)}; give the path of a log")
+    names = named_files(_text(folder / METADATA))
+    files = [_present(folder, name) for name in names]
+    absent = [name for name, file in zip(names, files) if file is None]
+    if absent:
+        raise RunError(
+            f"{folder}: {METADATA} names {len(names)} files, and {', '.join(absent)[:200]} is not there; copy it too, "
+            "or give the files that you have instead of the folder"
+        )
+    found = [file for file in files if file is not None]
+    if not found:
+        if not recordings:
+            raise RunError(f"{folder}: {METADATA} names no files, and no recording is there; copy the folder again")
+        return Folder(tuple(recordings), (f"{METADATA} names no files; those of the folder are read",))
+    spare = [path.name for path in recordings if path not in found]
+    remarks = (f"not named in {METADATA} and left out: {', '.join(spare)[:200]}",) if spare else ()
+    return Folder(tuple(dict.fromkeys(found)), remarks)
+
+
+def named_files(text: str) -> list[str]:
+    """Return the names that `relative_file_paths` of a metadata.yaml lists, without folders."""
+    key = _KEY.search(text)
+    if key is None:
+        return []
+    rest = key["rest"].split(" #")[0].strip()
+    if rest.startswith("["):  # the short form of a list
+        listed = re.findall(r"'(?:[^']|'')*'|\"(?:[^\"\\]|\\.)*\"|[^\s,\[\]]+", rest.partition("]")[0])
+        return [_name(item) for item in listed]
+    names: list[str] = []
+    for line in text[key.end() :].splitlines()[1:]:
+        item = _ITEM.match(line)
+        if item is None or len(item["indent"]) < len(key["indent"]):
+            if line.strip() and not line.lstrip().startswith("#"):
+                break
+            continue
+        names.append(_name(item["item"]))
+    return [name for name in names if name]
+
+
+def _name(item: str) -> str:
+    """Return the name of a file from a cell of YAML: plain or in quotes, the folder taken off."""
+    if quoted := re.match(r"'((?:[^']|'')*)'", item):
+        text = quoted[1].replace("''", "'")
+    elif quoted := re.match(r'"(?:[^"\\]|\\.)*"', item):
+        try:
+            text = str(json.loads(quoted[0]))
+        except ValueError:
+            text = quoted[0].strip('"')
+    else:
+        text = item.split(" #")[0].strip()
+    return re.split(r"[/\\]", text)[-1]
+
+
+def _present(folder: Path, name: str) -> Path | None:
+    """Return the file of this name, or what packing as a file made of it."""
+    if name in ("", ".", ".."):
+        return None
+    for ending in ("", ".zstd", ".zst"):
+        if (folder / f"{name}{ending}").is_file():
+            return folder / f"{name}{ending}"
+    return None
+
+
+def _text(path: Path) -> str:
+    try:
+        with path.open("rb") as file:
+            return file.read(_LONGEST).decode("utf-8", "replace")
+    except OSError as cause:
+        raise RunError(f"{path}: cannot be read ({cause.strerror or cause}); copy the folder again") from cause
+
+
+def _inside(folder: Path) -> list[Path]:
+    try:
+        found = [path for path, _ in zip(folder.iterdir(), range(_MOST))]
+    except OSError as cause:
+        raise RunError(f"{folder}: cannot be read ({cause.strerror or cause}); give the path of a log") from cause
+    return sorted(found)
+
+
+def _what(folder: Path, inside: list[Path]) -> str:
+    """Say what a folder holds."""
+    bags = [path.name for path in inside if path.is_dir() and ((path / METADATA).is_file() or is_dataset(path))]
+    if bags:
+        return f"it holds the recordings {', '.join(bags)[:200]}: give one of them"
+    names = [path.name for path in inside if path.is_file()]
+    if not names:
+        return "it holds no files"
+    return f"it holds {', '.join(names[:5])[:200]}" + (f" and {len(names) - 5} more" if len(names) > 5 else "")

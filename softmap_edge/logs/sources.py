@@ -1,0 +1,306 @@
+"""What the paths given to `softmap import` are (files, folders, packed files), and which log of a mapping is which.
+
+A folder stands for its files, a packed file for what is in it. Several recordings that fit one log are its parts; logs
+that a mapping describes alike, but for `file`, are one log in parts. Pinned by tests/test_containers.py.
+"""
+
+from __future__ import annotations
+
+import fnmatch
+import glob
+import re
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from softmap_edge.errors import RunError
+from softmap_edge.logs.mapping import Log, Mapping
+from softmap_edge.logs.measured import Column
+from softmap_edge.logs.readers.columns import Columns
+from softmap_edge.logs.readers.kinds import ARRAYS, PACKED, RECORDINGS, kind_of
+from softmap_edge.logs.readers.mcap_file import Topic, open_mcap, topics
+from softmap_edge.logs.readers.packed import unpack
+from softmap_edge.logs.readers.parquet_log import episodes_in
+from softmap_edge.logs.readers.parts import JoinedColumns
+from softmap_edge.logs.readers.rosbag_folder import files_of
+from softmap_edge.logs.readers.rosbag_sqlite import open_db3, topics_of_db3
+from softmap_edge.logs.table import open_log
+
+
+@dataclass(frozen=True)
+class Part:
+    """One file to be read.
+
+    Attributes:
+        given: the path that the user gave: the file, or its folder.
+        path: the file as it lies on the disk.
+        file: the same, or what was in it when unpacked.
+        kind: its format, from `kind_of`.
+        notes: what to know about the path given.
+        keep: what must stay while the file is read.
+    """
+
+    given: Path
+    path: Path
+    file: Path
+    kind: str
+    notes: tuple[str, ...] = ()
+    keep: Any = None
+
+    @property
+    def of_folder(self) -> bool:
+        """Whether the user gave its folder."""
+        return self.given != self.path
+
+
+def parts_of(paths: Sequence[Path]) -> list[Part]:
+    """Return the files that paths stand for.
+
+    Raises:
+        RunError: a path cannot be read, is no recording, or is of a format that is not read.
+    """
+    found: list[Part] = []
+    for path in (path if path.name not in ("", "..") else path.resolve() for path in paths):
+        if path.is_dir():
+            folder = files_of(path)
+            parts = [_part(path, file) for file in folder.files]
+            found += [replace(parts[0], notes=folder.notes), *parts[1:]]
+        else:
+            found.append(_part(path, path))
+    return found
+
+
+def _part(given: Path, path: Path) -> Part:
+    kind = kind_of(path)
+    if kind not in PACKED:
+        return Part(given, path, path, kind)
+    plain = unpack(path)
+    with called(plain.file, path):
+        inner = kind_of(plain.file)
+    if inner in PACKED:
+        raise RunError(f"{path}: is packed twice; unpack it yourself and give the log inside")
+    return Part(given, path, plain.file, inner, keep=plain)
+
+
+@contextmanager
+def called(file: Path, path: Path) -> Iterator[None]:
+    """Let a fault name the path that the user knows, not where it was unpacked."""
+    try:
+        yield
+    except RunError as fault:
+        if file == path:
+            raise
+        raise RunError(str(fault).replace(str(file), str(path))) from None
+
+
+@contextmanager
+def named(parts: Sequence[Part]) -> Iterator[None]:
+    """Let a fault name the paths that the user knows, as `called` does, for all files."""
+    with ExitStack() as stack:
+        for part in parts:
+            stack.enter_context(called(part.file, part.path))
+        yield
+
+
+# --- opening -------------------------------------------------------------------------------
+def topics_of(part: Part) -> list[Topic]:
+    """Return the topics of a recording.
+
+    Raises:
+        RunError: it is damaged.
+    """
+    with called(part.file, part.path):
+        return topics_of_db3(part.file) if part.kind == "db3" else topics(part.file)
+
+
+def open_topic(part: Part, topic: str | None, most: int | None = None) -> Columns:
+    """Open a topic of a recording.
+
+    Raises:
+        RunError: it is damaged, or the topic is not there.
+    """
+    with called(part.file, part.path):
+        return (open_db3 if part.kind == "db3" else open_mcap)(part.file, topic, most)
+
+
+def open_parts(parts: Sequence[Part], log: Log) -> Columns:
+    """Open the files of one log of a mapping.
+
+    Raises:
+        RunError: one of them cannot be read, or they are no parts of one recording.
+    """
+    first = parts[0]
+    if first.kind in RECORDINGS:
+        return _recording(parts, log.topic)
+    if len(parts) == 1:
+        with called(first.file, first.path):
+            return open_log(first.file, log)
+    if log.clock.column is None:
+        names = ", ".join(part.path.name for part in parts)
+        raise RunError(f"{names}: only a column of time could put them in order; import each file alone")
+    opened = [(part.path.name, open_parts([part], log)) for part in parts]
+    if any(columns.units != opened[0][1].units for _, columns in opened):
+        raise RunError(f"{first.path}: states other units than {parts[1].path.name}; import each file alone")
+    return JoinedColumns(first.path, tuple(opened), _name_of(opened[0][1], log.clock.column))
+
+
+def _name_of(columns: Columns, column: Column) -> str:
+    return columns.names[column] if isinstance(column, int) and 0 <= column < len(columns.names) else str(column)
+
+
+def _recording(parts: Sequence[Part], topic: str | None, most: int | None = None) -> Columns:
+    """Open a topic of a recording that may lie in several files."""
+    if len(parts) == 1:
+        return open_topic(parts[0], topic, most)
+    held = [[one for one in topics_of(part) if one.count] for part in parts]
+    named = {one.name: one.type for listed in held for one in listed}
+    if topic is None and len(named) != 1:
+        listed = ", ".join(f"{name} ({kind})" for name, kind in named.items())[:300] or "none"
+        raise RunError(f'{parts[0].given}: holds {len(named)} topics ({listed}); say in the mapping which: topic = "…"')
+    asked = next(iter(named)) if topic is None else topic
+    holders = [part for part, listed in zip(parts, held) if asked in (one.name for one in listed)]
+    if not holders:
+        raise RunError(
+            f"{parts[0].given}: no message of topic {asked[:60]}; there are "
+            f"{', '.join(sorted(named))[:200] or 'none'}; change `topic` in the mapping"
+        )
+    opened = tuple((part.path.name, open_topic(part, asked, most)) for part in holders)
+    return opened[0][1] if len(opened) == 1 else JoinedColumns(parts[0].given, opened, "log_time")
+
+
+def open_recording(parts: Sequence[Part], topic: str, most: int) -> Columns:
+    """Open the first messages of a topic of a recording that may lie in several files.
+
+    Raises:
+        RunError: as `open_parts`.
+    """
+    return _recording(parts, topic, most)
+
+
+def groups_of(parts: Sequence[Part]) -> list[list[Part]]:
+    """Return files in groups: the parts of one recording together, by their folder or by names that differ in numbers.
+
+    A dataset of several files is one group as well; every other file is alone.
+    """
+    found: dict[tuple[str, str], list[Part]] = {}
+    for part in parts:
+        key = ("folder", str(part.given)) if part.of_folder else ("file", str(part.path))
+        if not part.of_folder and part.kind in RECORDINGS:
+            key = ("parts", re.sub(r"\d+", "#", str(part.path)))
+        found.setdefault(key, []).append(part)
+    return list(found.values())
+
+
+def pattern_of(group: Sequence[Part]) -> str:
+    """Return what `file` in a mapping says of a group."""
+    first = group[0]
+    if first.of_folder or len(group) == 1:
+        return glob.escape(first.given.name)
+    return re.sub(r"\d+", "*", glob.escape(first.path.name))
+
+
+# --- which log is which --------------------------------------------------------------------
+@dataclass(frozen=True)
+class Chosen:
+    """The files of one log of a mapping, and what messages call them."""
+
+    label: str
+    parts: tuple[Part, ...]
+
+    @property
+    def path(self) -> Path:
+        """The path that messages name."""
+        return self.parts[0].path if len(self.parts) == 1 else self.parts[0].given
+
+
+def assign(parts: list[Part], mapping: Mapping) -> tuple[Mapping, list[Chosen]]:
+    """Find the files of each log of a mapping.
+
+    Returns:
+        The mapping, logs that differ in `file` alone made one, and the files of each of its logs.
+
+    Raises:
+        RunError: a log has no file, or several that are no parts of one recording; or a file has no log.
+    """
+    logs, patterns = _alike(mapping.logs)
+    mapping = replace(mapping, logs=tuple(logs))
+    if len(logs) == 1 and len(parts) == 1:
+        return mapping, [_chosen(parts)]
+    chosen = [_fitting(parts, log, names, mapping) for log, names in zip(logs, patterns)]
+    used = {part.given for fits in chosen for part in fits}  # of a folder other logs, or none, may take the rest
+    spare = list(dict.fromkeys(part.given.name for part in parts if part.given not in used))
+    named = ", ".join(pattern for names in patterns for pattern in names)
+    again = [
+        (tuple(part.path for part in fits), log.topic) for fits, log in zip(chosen, logs) if fits[0].kind not in ARRAYS
+    ]
+    if spare or len(set(again)) < len(again):
+        raise RunError(
+            f"{mapping.path}: {', '.join(spare) or 'one file'} fits no log of its own; the mapping has {named}"
+        )
+    return mapping, [_chosen(fits) for fits in chosen]
+
+
+def _chosen(parts: list[Part]) -> Chosen:
+    folders = {part.given for part in parts if part.of_folder}
+    alone = len(parts) == 1 or len(folders) == 1 == len({part.given for part in parts})
+    label = parts[0].given.name if alone else f"{parts[0].path.name} and {len(parts) - 1} more"
+    return Chosen(label, tuple(parts))
+
+
+def _alike(logs: tuple[Log, ...]) -> tuple[list[Log], list[list[str]]]:
+    """Return the logs that differ in more than their file, and the patterns of the files of each."""
+    found: dict[str, tuple[Log, list[str]]] = {}
+    for log in logs:
+        key = _described(replace(log, file=None)) if log.file is not None else _described(log) + f" {len(found)}"
+        found.setdefault(key, (log, []))[1].append(log.file or "*")
+    return [log for log, _ in found.values()], [names for _, names in found.values()]
+
+
+def _described(value: Any) -> str:
+    """Return all that a log of a mapping says, as text."""
+    if isinstance(value, np.ndarray):
+        return str(value.tolist())
+    if isinstance(value, dict):
+        return str([(key, _described(one)) for key, one in value.items()])
+    if hasattr(value, "__dataclass_fields__"):
+        return str([(key, _described(getattr(value, key))) for key in value.__dataclass_fields__])
+    return repr(value)
+
+
+def _fitting(parts: list[Part], log: Log, patterns: list[str], mapping: Mapping) -> list[Part]:
+    """Return the files that a log means: one, or the parts of one recording."""
+    fits = [part for part in parts if any(_matches(part, pattern) for pattern in patterns)]
+    if len(fits) > 1 and all(part.kind == "parquet" for part in fits):
+        fits = _with_episode(fits, log, mapping)
+    recorded = bool(fits) and all(part.kind in RECORDINGS for part in fits)
+    if len(fits) == 1 or recorded or (1 < len(fits) == len(patterns)):
+        return fits
+    names = ", ".join(part.path.name for part in fits)
+    found = f"{len(fits)} of the given files fit ({names[:300]})" if fits else "no given file fits"
+    raise RunError(
+        f"{mapping.path}: log '{', '.join(patterns)}': {found}; give exactly one, or change `file` in the mapping"
+    )
+
+
+def _with_episode(fits: list[Part], log: Log, mapping: Mapping) -> list[Part]:
+    """Return the file of a dataset that holds the episode of a log."""
+    if log.episode is None:
+        raise RunError(
+            f"{mapping.path}: {fits[0].given.name} holds many episodes in {len(fits)} files, and each is a run of its "
+            "own; say in the mapping which: episode = 0"
+        )
+    called = [part for part in fits if part.path.stem == f"episode_{log.episode:06d}"]  # LeRobot before v3
+    for part in called or fits:
+        span = episodes_in(part.file)
+        if span is not None and span[0] <= log.episode <= span[1]:
+            return [part]
+    raise RunError(f"{mapping.path}: no file of {fits[0].given.name} holds episode {log.episode}; change `episode`")
+
+
+def _matches(part: Part, pattern: str) -> bool:
+    names = {part.path.name, part.given.name, part.file.name}
+    return any(fnmatch.fnmatch(name, pattern) for name in names)
