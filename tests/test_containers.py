@@ -65,7 +65,8 @@ def test_a_recording_is_the_same_run_in_every_container(names, mapping):
 def test_the_proposed_mapping_of_a_recording_imports_it(name):
     found = guess_mapping([DATA / name])
     run = imported([DATA / name], found.text).run
-    assert run.command.shape == (80, 2) and run.present.shape == (80, 2) and run.markers.shape == (80, 1, 3)
+    assert run.command.shape == (80, 2) and run.markers.shape == (80, 1, 3)
+    assert run.present is None and "joint_states" in found.text  # in rad, next to commands in mm: left out and named
     assert 'topic = "/tendon_cmd"' in found.text and "file =" not in found.text
 
 
