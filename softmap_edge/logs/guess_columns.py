@@ -1,29 +1,30 @@
-"""What the columns of a log look like, by their names and numbers: time, commands, encoders, markers, labels, units.
+"""What the columns of a log look like, by their names and numbers: commands, encoders, markers, labels, units.
 
 Only the rules that a laboratory's habits give: `x1, y1, z1` are a point; `u3`, `cmd_2` or `servo_4_mm` are commands;
-`phi2` or `present_1` are encoders; an even rise is time. Every answer carries the reason that is shown to the user.
+`phi2` or `present_1` are encoders. Every answer carries the reason that is shown to the user. `guess_time.py` finds what
+tells time.
 """
 
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.errors import RunError
-from softmap_edge.logs.mapping import LENGTH, TIME, UNITS
+from softmap_edge.logs.mapping import LENGTH, UNITS
 from softmap_edge.logs.plausible import ROBOT
 from softmap_edge.logs.readers.mcap_file import open_mcap, topics
+from softmap_edge.logs.readers.paced import PacedColumns
 from softmap_edge.logs.readers.text import TextColumns
 from softmap_edge.logs.table import LARGEST, open_log
 
 Array = NDArray[np.float64]
 ROWS = 20_000  # of each log that are looked at
 MOST_COLUMNS = 4096  # of each log: names are compared by pairs
-_COUNTERS = re.compile(r"^(id|frame#?|index|idx|sample|row|count(er)?|nr|no|n|#|)$", re.IGNORECASE)
 _TIMES = re.compile(r"^t$|time|stamp|clock|^sec|^t_|_t$", re.IGNORECASE)
 _LABELS = re.compile(r"block|label|segment|trial|phase|pattern|part|condition|experiment", re.IGNORECASE)
 _NO_POINT = re.compile(r"rot|orient|quat|vel|acc|gyr|force|torque|imu|mag|twist|unlabel", re.IGNORECASE)
@@ -54,6 +55,7 @@ class Sheet:
     numbers: Array  # (rows, names); NaN in a column of text
     texts: dict[str, list[str]]
     header: bool = True
+    clocks: dict[str, str] = field(default_factory=dict)  # columns of dates or times, in s, and their form
 
     def column(self, name: str) -> Array:
         """Return the numbers of a column."""
@@ -103,67 +105,20 @@ def read_sheets(paths: list[Path]) -> list[Sheet]:
                 "in a mapping by hand: docs/mapping.md lists its keys"
             )
         texts: dict[str, list[str]] = {}
-        if isinstance(columns, TextColumns):
+        clocks: dict[str, str] = {}
+        if isinstance(columns, TextColumns | PacedColumns):
             texts = columns.texts(200)
+            clocks = {columns.names[k]: clock.form for k, clock in columns.clocks.items()}
         places = [k for k, name in enumerate(columns.names) if name not in texts]
         cells = columns.read(places, None, ROWS).numbers[:ROWS]
         numbers = np.full((len(cells), len(columns.names)), np.nan)
         numbers[:, places] = np.where(np.abs(cells) < LARGEST, cells, np.nan)
         header = not isinstance(columns, TextColumns) or columns.header
-        sheets.append(Sheet(path, None, columns.names, dict(columns.units), numbers, texts, header))
+        sheets.append(Sheet(path, None, columns.names, dict(columns.units), numbers, texts, header, clocks))
     return sheets
 
 
-# --- time ----------------------------------------------------------------------------------
-def time_of(sheet: Sheet) -> tuple[str | None, str, str]:
-    """Return the column of time, its unit (`rows` for a counter), and why."""
-    rising = []
-    for name in sheet.names:
-        values = sheet.column(name)
-        known = values[np.isfinite(values)]
-        if len(known) > 1 and (np.diff(known) >= 0).mean() > 0.999 and known[-1] > known[0]:
-            rising.append(name)
-    for pattern in (_TIMES, _COUNTERS):
-        for name in rising:
-            bare = re.sub(r"[\[(].*?[\])]", "", name).strip()
-            if pattern.search(bare):
-                unit, why = _time_unit(sheet, name)
-                return name, unit, f"'{name}' rises throughout; {why}"
-    if rising and rising[0] == sheet.names[0] and (not sheet.header or _even(sheet.column(rising[0]))):
-        unit, why = _time_unit(sheet, rising[0])
-        called = f" '{rising[0]}'" if sheet.header else ""
-        return rising[0], unit, f"the first column{called} rises throughout; {why}"
-    return None, "rows", "no column tells time"
-
-
-def _even(values: Array) -> bool:
-    """Whether numbers rise by nearly the same step from row to row, as a clock does under whatever name."""
-    step = np.diff(values[np.isfinite(values)])
-    usual = float(np.median(step))
-    return usual > 0 and bool((np.abs(step - usual) < 0.5 * usual).mean() > 0.9)
-
-
-def _time_unit(sheet: Sheet, name: str) -> tuple[str, str]:
-    values = sheet.column(name)
-    values = values[np.isfinite(values)]
-    step = np.diff(values)
-    step = step[step > 0]
-    usual = float(np.median(step))
-    stated = sheet.units.get(name) or unit_in_name(name, TIME)
-    if stated in TIME:
-        return stated, f"its unit {stated} is stated"
-    largest = float(np.abs(values).max())
-    for limit, unit in ((1e17, "ns"), (1e14, "us"), (1e11, "ms"), (1e8, "s")):
-        if largest > limit and usual * TIME[unit] < 1000.0:
-            return unit, f"it counts {unit} since 1970"
-    if (values == np.rint(values)).all() and usual == 1.0:
-        return "rows", "it counts rows"
-    for unit in ("s", "ms", "us", "ns"):
-        if 2e-4 <= usual * TIME[unit] < 5.0:
-            return unit, f"rows {usual:.4g} apart look like {unit}"
-    return "s", "its unit is not known and taken as s"
-
-
+# --- names ---------------------------------------------------------------------------------
 def unit_in_name(name: str, known: dict[str, float] | dict[str, str]) -> str | None:
     """Return the unit at the end of a name: `servo_4_mm`, `Time [ms]`, `u1 (deg)`."""
     bracketed = re.search(r"[\[(]([^\[\]()]*)[\])]$", name.lower())
@@ -276,6 +231,8 @@ def drive_unit(rows: Array, stated: str | None) -> tuple[str, str, bool]:
 def label_of(sheet: Sheet) -> str | None:
     """Return the column that says which part of the protocol a row belongs to."""
     for name, texts in sheet.texts.items():
+        if not sheet.header or "frame" in name.lower():  # the name of a coordinate frame
+            continue
         if len(set(texts)) <= max(3, len(texts) // 2) and any(texts) and not _TIMES.search(name):
             return name
     for name in sheet.names:

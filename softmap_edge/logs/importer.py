@@ -61,6 +61,7 @@ def import_logs(paths: Sequence[str | os.PathLike[str]], mapping: Mapping) -> Im
     tables = [read_log(path, log) for path, log in zip(files, mapping.logs)]
     for path, table in zip(files, tables):
         notes += [f"{path.name}: {note}" for note in table.notes]
+        doubts += [f"{path.name}: {doubt}" for doubt in table.doubts]
     fields: dict[str, Any] = _timeless(mapping, notes)
     if not fields:
         doubts += [f"{path.name}: {doubt}" for path, table in zip(files, tables) for doubt in doubts_of_time(table.t)]

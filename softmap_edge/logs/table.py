@@ -7,6 +7,7 @@ to do; missing rows are counted where the log has a regular clock.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -15,15 +16,28 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.errors import RunError
+from softmap_edge.logs.clock import kept, times_of
 from softmap_edge.logs.mapping import Clock, Log
 from softmap_edge.logs.measured import Column
+from softmap_edge.logs.readers.cells import find_delimiter
 from softmap_edge.logs.readers.columns import Array, Cells, Columns
 from softmap_edge.logs.readers.mcap_file import MAGIC
 from softmap_edge.logs.readers.mocap import is_motive, is_trc, open_motive, open_trc
-from softmap_edge.logs.readers.text import find_delimiter, open_text
+from softmap_edge.logs.readers.text import open_text
+from softmap_edge.logs.readers.typed_rows import is_typed, open_typed
+from softmap_edge.logs.readers.vendor_text import is_lvm, is_nexus, is_qtm, open_lvm, open_nexus, open_qtm
+from softmap_edge.logs.time_text import DAY
 
+_VENDORS: dict[str, Callable[[Path], Columns]] = {
+    "trc": open_trc,
+    "motive": open_motive,
+    "qtm": open_qtm,
+    "nexus": open_nexus,
+    "typed": open_typed,
+}
+_STARTS = {"trc": is_trc, "motive": is_motive, "qtm": is_qtm, "nexus": is_nexus, "lvm": is_lvm, "typed": is_typed}
+_START = 4096  # bytes that decide the format
 LARGEST = 1e20  # of any cell, whatever its unit: times in nanoseconds since 1970 are 2e18
-_REGULAR = 0.2  # of the usual step: what a clock with jitter stays within
 
 
 @dataclass(frozen=True)
@@ -37,6 +51,7 @@ class LogTable:
     values: dict[int, Array]
     labels: NDArray[Any] | None
     notes: tuple[str, ...]
+    doubts: tuple[str, ...] = ()
 
     def numbers(self, columns: tuple[Column, ...]) -> Array:
         """Return (rows, len(columns)); absent cells are NaN."""
@@ -74,11 +89,14 @@ def open_log(path: Path, log: Log | None = None) -> Columns:
         return open_mcap(path, None if log is None else log.topic)
     if log is not None and log.topic is not None:
         raise RunError(f"{path}: topic = '{log.topic[:60]}' is for MCAP files, and this is none; leave it out")
-    if kind in ("trc", "motive"):
-        return open_trc(path) if kind == "trc" else open_motive(path)
+    if kind in _VENDORS and not (log is not None and (log.skip_rows or not log.header)):
+        return _VENDORS[kind](path)
     skip_rows, skip_last, header = (0, 0, None) if log is None else (log.skip_rows, log.skip_last_rows, log.header)
     delimiter, decimal = (None, None) if log is None else (log.delimiter, log.decimal)
-    return open_text(path, delimiter, decimal, header, skip_rows, skip_last)
+    order = None if log is None else log.clock.date_order
+    if kind == "lvm" and not skip_rows:
+        return open_lvm(path, header, order)
+    return open_text(path, delimiter, decimal, header, skip_rows, skip_last, order)
 
 
 def _format(path: Path) -> str:
@@ -90,13 +108,13 @@ def _format(path: Path) -> str:
         raise RunError(f"{path}: {'a folder' if path.is_dir() else 'no file'}; give the path of a log")
     try:
         with path.open("rb") as file:
-            start = file.read(64)
+            start = file.read(_START)
     except OSError as cause:
         raise RunError(f"{path}: cannot be read ({cause.strerror or cause}); give the path of a log") from cause
     if start.startswith(MAGIC):
         return "mcap"
     text = start.removeprefix(b"\xef\xbb\xbf").decode("latin-1")
-    return "trc" if is_trc(text) else "motive" if is_motive(text) else "csv"
+    return next((kind for kind, fits in _STARTS.items() if fits(text)), "csv")
 
 
 def read_log(path: Path, log: Log) -> LogTable:
@@ -110,15 +128,42 @@ def read_log(path: Path, log: Log) -> LogTable:
     wanted: list[Column] = [column for quantity in log.rows.values() for column in quantity.columns]
     wanted += [column for points in (log.markers, log.base) if points is not None for column in points.columns]
     wanted += [] if log.output is None else log.output.columns
-    wanted += [] if log.clock.column is None else [log.clock.column]
+    wanted += log.clock.columns
     _all_there(path, names, [*wanted, *([] if log.block is None else [log.block])], log.delimiter)
     places = sorted({place(path, names, column) for column in wanted})
     cells = columns.read(places, None if log.block is None else place(path, names, log.block))
+    cells = _cut(path, cells, log)
     _within_reason(path, columns.where, cells, places, names)
-    clock = None if log.clock.column is None else places.index(place(path, names, log.clock.column))
-    t, cells, notes = _clock(path, columns.where, cells, clock, log.clock)
-    values = dict(zip(places, cells.numbers.T))
-    return LogTable(path, t, names, columns.units, values, cells.labels, (*cells.notes, *notes))
+    times = times_of(path, columns.where, cells, _raw_times(path, columns, cells, places, log.clock), log.clock)
+    values = dict(zip(places, times.cells.numbers.T))
+    doubts = (*times.doubts, *_assumed(log.clock, len(times.t)))
+    notes = (*cells.notes, *times.notes)
+    return LogTable(path, times.t, names, columns.units, values, times.cells.labels, notes, doubts)
+
+
+def _cut(path: Path, cells: Cells, log: Log) -> Cells:
+    """The rows from `from_row` to `to_row`."""
+    if log.from_row == 0 and log.to_row is None:
+        return cells
+    row, last = np.arange(len(cells.numbers)), len(cells.numbers) - 1
+    chosen = (row >= log.from_row) & (row <= (last if log.to_row is None else log.to_row))
+    if not chosen.any():
+        raise RunError(
+            f"{path}: from_row = {log.from_row}, to_row = {log.to_row}: no row is left; the log has rows 0 to {last}"
+        )
+    note = f"{int(chosen.sum())} of {len(chosen)} rows, {log.from_row} to {int(row[chosen][-1])}, as the mapping asks"
+    return replace(kept(cells, chosen), notes=(*cells.notes, note))
+
+
+def _assumed(clock: Clock, rows: int) -> tuple[str, ...]:
+    """Say that times come from a rate that nobody has confirmed."""
+    if not clock.assumed:
+        return ()
+    what = "the number of the row" if clock.column is None else f"'{clock.column}'"
+    return (
+        f"t: the times of {rows} rows are {what} at {1.0 / clock.seconds:g} Hz, a rate that is assumed: put the rate "
+        'of the log into the mapping and remove `assumed`, or declare time = "none"',
+    )
 
 
 def place(path: Path, names: list[str], column: Column) -> int:
@@ -161,89 +206,24 @@ def _within_reason(path: Path, where: str, cells: Cells, places: list[int], name
             )
 
 
-# --- time ----------------------------------------------------------------------------------
-def _clock(path: Path, where: str, cells: Cells, column: int | None, clock: Clock) -> tuple[Array, Cells, list[str]]:
-    """The time of the rows in s, the rows that have one, and what was odd."""
-    notes: list[str] = []
-    count = np.arange(len(cells.numbers), dtype=float) if column is None else cells.numbers[:, column]
-    t = count * clock.seconds + clock.offset_s
-    empty = ~np.isfinite(t)
-    if empty.any():
-        if not np.isnan(cells.numbers[empty]).all():
-            row = int(np.argmax(empty & np.isfinite(cells.numbers).any(axis=1)))
-            raise RunError(f"{path}: {where} {cells.lines[row]}: the time is empty or not a number; remove the line")
-        notes.append(f"{int(empty.sum())} empty rows were left out")
-        t, cells = t[~empty], _kept(cells, ~empty)
-    if len(t) == 0:
-        raise RunError(f"{path}: holds no rows; give a log that holds data")
-    same = np.r_[False, np.diff(t) == 0]
-    if same.any():
-        at = np.flatnonzero(same)
-        again = np.zeros(len(t), bool)
-        before, after = cells.numbers[at - 1], cells.numbers[at]
-        again[at] = ((before == after) | (np.isnan(before) & np.isnan(after))).all(axis=1)
-        if cells.labels is not None:
-            again[at] &= cells.labels[at - 1] == cells.labels[at]
-        if again.any():
-            notes.append(f"{int(again.sum())} rows that repeat the row before, time and all, were left out")
-            t, cells = t[~again], _kept(cells, ~again)
-    if clock.repeated == "drop" and len(t) > 1:
-        fresh = np.r_[True, t[1:] > np.maximum.accumulate(t)[:-1]]
-        if not fresh.all():
-            notes.append(f"{int((~fresh).sum())} rows whose time does not increase were dropped")
-            t, cells = t[fresh], _kept(cells, fresh)
-    _increasing(path, where, t, cells, spread=clock.repeated == "spread")
-    if clock.repeated == "spread" and (np.diff(t) == 0).any():
-        notes.append(f"{int((np.diff(t) == 0).sum())} rows share a time with the row before and were spread evenly")
-        t = _spread(t)
-    return t, cells, [*notes, *_gaps(where, t, cells)]
-
-
-def _kept(cells: Cells, keep: NDArray[np.bool_]) -> Cells:
-    labels = None if cells.labels is None else cells.labels[keep]
-    return replace(cells, numbers=cells.numbers[keep], labels=labels, lines=cells.lines[keep])
-
-
-def _increasing(path: Path, where: str, t: Array, cells: Cells, spread: bool) -> None:
-    step = np.diff(t)
-    late = step < 0 if spread else step <= 0
-    if not late.any():
-        return
-    row = int(np.argmax(late)) + 1
-    back = step[row - 1] < 0
-    remedy = 'set time.repeated = "drop" to leave such rows out'
-    if not back:
-        remedy += ', or "spread" to place rows of one time evenly up to the next'
-    raise RunError(
-        f"{path}: time {'goes backwards' if back else 'stands still'} at row {row} ({where} {cells.lines[row]}: "
-        f"{t[row]:.10g} s after {t[row - 1]:.10g} s), {int(late.sum())} such rows; {remedy}"
-    )
-
-
-def _spread(t: Array) -> Array:
-    """Rows of one time, evenly from it to the next time; the last ones at the usual step."""
-    first = np.flatnonzero(np.r_[True, np.diff(t) > 0])
-    count = np.diff(np.r_[first, len(t)])
-    width = np.diff(t[first])
-    usual = float(np.median(width / count[:-1])) if len(width) else 1.0
-    step = np.r_[width / count[:-1], usual]
-    within = np.arange(len(t)) - np.repeat(first, count)
-    return np.asarray(np.repeat(t[first], count) + within * np.repeat(step, count))
-
-
-def _gaps(where: str, t: Array, cells: Cells) -> list[str]:
-    """Rows that a regular clock should have had."""
-    step = np.diff(t)
-    if len(step) < 10:
-        return []
-    usual = float(np.median(step))
-    if (np.abs(step - usual) <= _REGULAR * usual).mean() < 0.9:
-        return []
-    gaps = step > 1.5 * usual
-    if not gaps.any():
-        return []
-    missing, row = int(np.rint(step[gaps] / usual - 1).sum()), int(np.argmax(step))
-    return [
-        f"{missing} rows are missing in {int(gaps.sum())} gaps, the longest {step[row]:.3g} s after {where} "
-        f"{cells.lines[row]} (usual step {usual:.3g} s); nothing is made up for them"
-    ]
+def _raw_times(path: Path, columns: Columns, cells: Cells, places: list[int], clock: Clock) -> Array:
+    """The times (rows,) s as the log has them; NaN where it has none."""
+    if clock.column is None:
+        return np.arange(len(cells.numbers), dtype=float) * clock.seconds + clock.offset_s
+    texts: dict[int, Any] = getattr(columns, "clocks", {})
+    t = np.full(len(cells.numbers), clock.offset_s)
+    dated = False
+    for column, seconds in [(clock.column, clock.seconds), *clock.more]:
+        at = place(path, columns.names, column)
+        part = cells.numbers[:, places.index(at)]
+        if at in texts:
+            if column == clock.column and seconds != 1.0:
+                raise RunError(
+                    f"{path}: {columns.names[at]} holds dates or times; leave unit and rate_hz out of `time`"
+                )
+            part = np.mod(part, DAY) if dated and texts[at].form == "day" else part
+            dated, seconds = True, 1.0
+        t = t + part * seconds
+    if clock.fast_ppm:
+        t = t[0] + (t - t[0]) / (1.0 + 1e-6 * clock.fast_ppm)
+    return np.asarray(t)
