@@ -285,14 +285,21 @@ def _way_out(t: Array, row: NDArray[np.int64], at: int, jump: Jump | None, back:
 
 
 def spread(t: Array) -> Array:
-    """Return rows of one time evenly from it to the next time; the last ones at the usual step."""
+    """Return rows of one time evenly from it to the next time.
+
+    The last ones follow at the usual step, and so do the first where they are fewer than usual: the log began within
+    their time.
+    """
     first = np.flatnonzero(np.r_[True, np.diff(t) > 0])
     count = np.diff(np.r_[first, len(t)])
     width = np.diff(t[first])
     usual = float(np.median(width / count[:-1])) if len(width) else 1.0
     step = np.r_[width / count[:-1], usual]
+    begin = t[first].copy()
+    if len(width) > 1 and count[0] * usual < width[0]:
+        step[0], begin[0] = usual, t[first[1]] - count[0] * usual
     within = np.arange(len(t)) - np.repeat(first, count)
-    return np.asarray(np.repeat(t[first], count) + within * np.repeat(step, count))
+    return np.asarray(np.repeat(begin, count) + within * np.repeat(step, count))
 
 
 def _gaps(where: str, t: Array, cells: Cells) -> list[str]:

@@ -2,7 +2,7 @@
 
 Three columns next to each other are a place where a unit quaternion follows them, as in a pose; or where they move
 smoothly and keep a distance from the origin that changes little, as points of a robot do, and nothing else that moves
-is left over. Commands start at home and do not. Pinned by tests/test_guess_bare.py.
+is left over. Commands start at home and do not. Pinned by tests/test_guess_time.py.
 """
 
 from __future__ import annotations

@@ -65,8 +65,8 @@ def clock_of(log: TomlTable) -> Clock:
         raise RunError(f"{time.where}: column and columns; give one of them")
     if one is None and not several and rate is None:
         raise RunError(
-            f"{time.where}: needs `column`, `rate_hz`, or both (a counter), or `columns`; say how the log tells time, or "
-            f'time = "{NO_TIME}" if it does not'
+            f"{time.where}: needs `column`, `rate_hz`, or both (a counter), or `columns`; say how the log tells time, "
+            f'or time = "{NO_TIME}" if it does not'
         )
     if several and rate is not None:
         raise RunError(f"{time.where}: columns and rate_hz; leave rate_hz out, or give one column, a counter")

@@ -26,6 +26,7 @@ Array = NDArray[np.float64]
 ORDERS = ("dmy", "mdy")
 DAY, HOUR = 86400.0, 3600.0
 _LONGEST = 48  # characters of a time
+_MOST = 0.9  # of the cells: if so many are times, the others are faults of the file
 _CLEARER = 5.0  # an order of day and month whose largest step is so many times smaller is the right one
 _FRACTION = r"(?:[.,](?P<f>\d{1,12})|:(?P<ms>\d{3}))?"  # two digits after a colon are frames of a film, no fraction
 _CLOCK = rf"(?P<h>\d{{1,2}}):(?P<mi>\d{{2}})(?::(?P<s>\d{{2}}){_FRACTION})?(?: ?(?P<half>[AaPp])\.?[Mm]\.?)?"
@@ -133,13 +134,15 @@ def time_text_of(cells: Sequence[str], order: str | None = None) -> TimeText | N
     """Return how the times of a column are written, from its first cells; None where they are no times.
 
     Args:
-        cells: the first cells; empty ones do not count.
+        cells: the first cells; empty ones do not count, and one in ten may be something else.
         order: `dmy` or `mdy` of local dates, where a mapping gives it.
     """
     filled = [cell.strip() for cell in cells if cell.strip()]
-    forms = {form_of(cell) for cell in filled}
-    if len(forms) != 1 or (form := forms.pop()) is None:
+    forms = [form_of(cell) for cell in filled]
+    form = max(set(forms), key=forms.count, default=None)
+    if form is None or forms.count(form) < _MOST * len(forms):
         return None
+    filled = [cell for cell, found in zip(filled, forms) if found == form]
     if form == "local" and order is None and all("." in cell.split(" ")[0] for cell in filled):
         order = "dmy"
     hours = form == "day" and all(_FORMS["day"][0].fullmatch(cell) for cell in filled)
@@ -168,7 +171,7 @@ def _ordered(both: Array) -> tuple[Array, str | None]:
         k = possible.index(True)
         return both[:, k], f"the dates are {_WORDS[ORDERS[k]]}"
     largest = [float(np.abs(np.diff(both[there, k])).max(initial=0.0)) for k in (0, 1)]
-    if largest[0] == largest[1]:  # one date
+    if not np.ptp(both[there, 0] - both[there, 1]):  # one date
         note = "the date may be day/month or month/day; the time within the log is the same (time.date_order sets it)"
         return both[:, 0], None if np.array_equal(both[there, 0], both[there, 1]) else note
     k = int(np.argmin(largest))

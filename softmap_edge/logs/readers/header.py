@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Collection
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from softmap_edge.logs.readers.cells import DELIMITERS, is_unit, is_value, split, trimmed, unit_of
 
@@ -20,6 +20,7 @@ LINES = 1000  # in which the table must begin
 CHARACTERS = 2**20  # of these lines, but never fewer than `LEAST` lines
 LEAST = 8
 _LOOKED = 20  # rows below a line that decide whether it is a row as well
+_COMMON = 0.05  # of the rows: a width that so many have is no accident
 _SPARE = 3  # names more than cells: columns that are empty in every row, as comments are
 
 
@@ -32,7 +33,8 @@ class Table:
         names: of the columns; None where no line holds them.
         first: the index of the first row among the lines.
         header: the index of the line of names; None without one.
-        width: cells of most rows.
+        width: cells of a row.
+        fewest: cells of a row whose last cells, all empty, are left out.
         units: by name, where a line of units stands between names and rows.
         clash: indices of a line above the rows that could be names but has another number of cells.
     """
@@ -42,6 +44,7 @@ class Table:
     first: int
     header: int | None
     width: int
+    fewest: int
     units: dict[str, str] = field(default_factory=dict)
     clash: int | None = None
 
@@ -78,10 +81,10 @@ def find_table(lines: list[str], delimiter: str | None, absent: Collection[str])
         found = [_line(line, mark, absent) for line in lines]
         table = _table(found, mark)
         if table is not None:
-            rows = [line.cells for line in found[table.first :] if line.kind == "row" and _fits(line.cells, table)]
+            rows = [line.cells for line in found[table.first :] if line.kind == "row" and _whole(line, table.width)]
             numbers = sum(is_value(cell) for row in rows[:100] for cell in row)
             filled = sum(1 for row in rows[:100] for cell in row if cell)
-            score = (len(rows), numbers, numbers / max(filled, 1))
+            score = (len(rows), table.names is not None, numbers, numbers / max(filled, 1))
             if best is None or score > best[0]:
                 best = (score, table)
     return None if best is None else best[1]
@@ -106,21 +109,48 @@ def _line(line: str, mark: str, absent: Collection[str]) -> _Line:
     return _Line(cells, "row" if values and 2 * values >= len(filled) else "text")
 
 
-def _fits(cells: list[str], table: Table) -> bool:
-    return len(cells) == table.width
+def _width(lines: list[_Line]) -> int:
+    """Cells of a row: of the widths that many rows have the largest, without columns that are empty in all of them."""
+    counts = Counter(len(line.cells) for line in lines if line.kind == "row")
+    most, enough_rows = max(counts.values()), max(2.0, _COMMON * counts.total())
+    many = {width for width, count in counts.items() if count == most or count >= enough_rows}
+    rows = [line.cells for line in lines if line.kind == "row" and len(line.cells) in many]
+    return max(1, *(len(trimmed(cells)) for cells in rows))
+
+
+def _shorter(lines: list[_Line], width: int) -> set[int]:
+    """The widths of rows that leave out empty cells at the end: those of many rows of a table."""
+    counts = Counter(len(line.cells) for line in lines if line.kind == "row")
+    least = max(2.0, _COMMON * counts.total())
+    return {w for w, count in counts.items() if 1 < w < width and count >= least}
+
+
+def _whole(line: _Line, width: int) -> bool:
+    """Whether a row has cells of its own in no column beyond the table's, and is not cut."""
+    return len(line.cells) >= width >= len(trimmed(line.cells))
 
 
 def _table(lines: list[_Line], mark: str) -> Table | None:
-    widths = Counter(len(line.cells) for line in lines if line.kind == "row")
-    if not widths:
+    if not any(line.kind == "row" for line in lines):
         return None
-    width = max(widths, key=lambda w: (widths[w], w))
-    rows = [k for k, line in enumerate(lines) if line.kind == "row" and len(line.cells) == width]
-    starts = {k: _names_above(lines, k, width) for k in rows if k == rows[0] or _opens(lines, k)}
+    width = _width(lines)
+    rows = [k for k, line in enumerate(lines) if line.kind == "row" and _whole(line, width)]
+    if not rows:
+        return None
+    begin = [_first_of(lines, k, width) for k in rows if k == rows[0] or _opens(lines, k)]
+    starts = {k: _names_above(lines, k, width) for k in begin}
     counts = {k: sum(1 for row in rows if k <= row < _end(starts, k)) for k in starts}
-    named = {k: found for k, found in starts.items() if found is not None}
-    first = max(counts, key=lambda k: (counts[k], k in named))
-    return _head(lines, first, width, mark, rows)
+    first = max(counts, key=lambda k: (counts[k], starts[k] is not None))
+    fewest = min(_shorter(lines[first : _end(starts, first)], width), default=width)
+    return _head(lines, first, width, fewest, mark, [k for k in rows if k >= first])
+
+
+def _first_of(lines: list[_Line], k: int, width: int) -> int:
+    """The first of the rows that lead to a row: those above it may leave out empty cells at the end."""
+    short = _shorter(lines[k:], width) if k and lines[k - 1].kind == "row" else set()
+    while k and lines[k - 1].kind == "row" and len(lines[k - 1].cells) in short:
+        k -= 1
+    return k
 
 
 def _opens(lines: list[_Line], k: int) -> bool:
@@ -168,38 +198,46 @@ def _units_below(cells: list[str], lines: list[_Line], k: int, width: int) -> bo
     return whole and len(set(filled)) < len(filled)
 
 
-def _head(lines: list[_Line], first: int, width: int, mark: str, rows: list[int]) -> Table:
-    """The table whose first row is known."""
-    below = [lines[k].cells for k in rows if k >= first]
+def _head(lines: list[_Line], first: int, width: int, fewest: int, mark: str, rows: list[int]) -> Table:
+    """The table whose first row is known; `rows` are those of full width."""
+    bare = Table(mark, None, first, None, width, fewest)
     header = _names_above(lines, first, width)
     if header is None:
-        return _bare_head(lines, first, width, mark, below, rows)
+        return _bare_head(lines, bare, rows)
     own = trimmed(lines[header].cells)
     comment = _comment_above(lines, header, width) if all(map(is_unit, own)) else None
     if comment is not None:  # as numpy writes it, with a line of units below
         own, header = trimmed(lines[comment].cells), comment
-    if len(own) < width and any(cell for row in below for cell in row[len(own) :]):
-        own = lines[header].cells
+    if len(own) < width:  # the last column has no name, or names are missing
+        own = lines[header].cells[:width]
         if len(own) != width:
-            return Table(mark, None, first, None, width, clash=header)
+            return replace(bare, clash=header)
     names = _grouped(own, lines[header - 1] if header else None)
     units: dict[str, str] = {}
     for line in lines[header + 1 : first]:
         if line.kind == "text":
             units |= {name: unit_of(cell) for name, cell in zip(names, line.cells) if cell and is_unit(cell)}
-    return Table(mark, names, first, header, width, units)
+    return Table(mark, names, first, header, width, fewest, units)
 
 
-def _bare_head(lines: list[_Line], first: int, width: int, mark: str, below: list[list[str]], rows: list[int]) -> Table:
+def _bare_head(lines: list[_Line], bare: Table, rows: list[int]) -> Table:
     """The table above whose rows no line of text is: a comment or the first row may name its columns."""
+    first, width = bare.first, bare.width
     comment = _comment_above(lines, first, width)
     if comment is not None:
-        return Table(mark, trimmed(lines[comment].cells), first, comment, width)
-    if len(below) > 1 and _is_names(below[0], below[1 : 1 + _LOOKED]):
-        return Table(mark, trimmed(below[0]), rows[rows.index(first) + 1], first, width)
+        return replace(bare, names=trimmed(lines[comment].cells), header=comment)
+    below = [lines[k].cells[:width] for k in rows]
+    if len(below) > 1 and rows[0] == first and (_is_names(below[0], below[1 : 1 + _LOOKED]) or _counts(below)):
+        return replace(bare, names=trimmed(below[0]), first=rows[1], header=first)
     above = lines[first - 1] if first else None
     clash = first - 1 if above and above.kind == "text" and len(trimmed(above.cells)) > 1 else None
-    return Table(mark, None, first, None, width, clash=clash)
+    return replace(bare, clash=clash)
+
+
+def _counts(rows: list[list[str]]) -> bool:
+    """Whether the first row is the numbers of the columns, as pandas writes them, and the next one is not like it."""
+    count = [str(k) for k in range(len(rows[0]))]
+    return len(count) > 2 and rows[0] == count and any("." in cell for cell in rows[1])
 
 
 def _comment_above(lines: list[_Line], first: int, width: int) -> int | None:
@@ -221,18 +259,22 @@ def _is_names(line: list[str], below: list[list[str]]) -> bool:
 
 
 def _grouped(names: list[str], above: _Line | None) -> list[str]:
-    """Names with the group that stands above them: `tip` over `X, Y, Z` gives `tip.X`, `tip.Y`, `tip.Z`."""
+    """Names with the group that stands above them: `tip` over `X, Y, Z` gives `tip.X`, `tip.Y`, `tip.Z`.
+
+    A group stands above its first column; the line begins with an empty cell, or the names alone are not distinct.
+    """
+    top = [] if above is None or above.kind != "text" else trimmed(above.cells)
+    if above is None or not top or len(top) > len(names):
+        return names
     filled = [name for name in names if name]
-    if above is None or above.kind != "text" or len(set(filled)) == len(filled):
+    if above.cells[0] and (len(set(filled)) == len(filled) or 2 * len(top) <= len(names)):
         return names
     groups, group = [], ""
     for k in range(len(names)):
         group = (above.cells[k] if k < len(above.cells) else "") or group
         groups.append(group)
-    if len(trimmed(above.cells)) > len(names) or sum(map(bool, above.cells)) < 1:
-        return names
     joined = [f"{group}.{name}" if group and name else name or group for group, name in zip(groups, names)]
-    return joined if len(set(joined)) > len(set(names)) else names
+    return joined if len(set(joined)) >= len(set(names)) else names
 
 
 def widths_of(lines: list[str], mark: str) -> str:

@@ -72,7 +72,7 @@ class TextColumns:
         clocks: dict[int, TimeText] = {}
         for place, column in enumerate(zip(*self._first_rows(_FIRST))):
             filled = [cell for cell in column if cell.lower() not in _ABSENT]
-            if filled and not is_number(filled[0]) and (clock := time_text_of(filled, order)) is not None:
+            if not all(map(is_number, filled)) and (clock := time_text_of(filled, order)) is not None:
                 clocks[place] = clock
         units = {self.names[place]: "s" for place in clocks}
         return replace(self, clocks=clocks, units=self.units | units) if clocks else self
@@ -269,7 +269,7 @@ def open_text(
     if table is None:  # no line of numbers: the first line is taken for names
         cut = delimiter or find_delimiter(start[at])
         names = split(start[at], cut)
-        table = Table(cut, names, at + 1, at, len(names))
+        table = Table(cut, names, at + 1, at, len(names), len(names))
     if header is not False and table.names is None and (header or table.clash is not None):
         raise RunError(f"{path}: {_no_names(start, table, skip_rows)}")
     first, names = table.first, table.names or []
@@ -280,11 +280,13 @@ def open_text(
     above = sum(1 for line in head if line.strip() and line.lstrip()[0] not in "#%")
     notes = [f"lines above the table were skipped: {above}"] if above else []
     notes += ["the line below the header is units"] if table.units and header is not False else []
+    if table.fewest < table.width:
+        notes.append(f"rows of {table.fewest} to {table.width - 1} cells, as there are many, end in empty cells")
     named = header is not False and table.names is not None
     columns = TextColumns(
         path, names, skip_rows + 1 + first, table.delimiter, decimal or ".", skip_last, notes=tuple(notes), header=named
     )
-    columns = replace(columns, units=table.units if named else {}, fewest=min(table.width, len(names)))
+    columns = replace(columns, units=table.units if named else {}, fewest=min(table.fewest, len(names)))
     if decimal is None and _decimal_commas(columns, start[first : first + 20]):
         columns = replace(columns, decimal=",", notes=(*columns.notes, "numbers have decimal commas"))
     return columns.with_clocks(order)
