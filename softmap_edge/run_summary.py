@@ -15,6 +15,7 @@ import numpy as np
 from softmap_edge.diagnosis.advice import Word, advice
 from softmap_edge.diagnosis.collinear import collinear_conditions
 from softmap_edge.diagnosis.conditions import HOME, conditions, orientations
+from softmap_edge.diagnosis.frame_clock import frame_clock
 from softmap_edge.report.advice_text import advice_lines
 from softmap_edge.report.numbers import folded
 from softmap_edge.run import BASE_MARKERS, OURS, Run
@@ -32,6 +33,7 @@ def summary(recorded: Run, model: Any = None) -> dict[str, Any]:
     `collinear` are the conditions that cannot be separated from time or the commands (`collinear.Collinear`, `text`).
     `can_tell` and `cannot_tell` are lists of `{about, tells, text, remedy, minutes}` (`advice.Word`). A `model` with a
     calibration converts the ticks of the run to commands. Raises CalibrationError if it belongs to other servos.
+    `frame_clock` is how the clock of the frames runs against that of the commands (`frame_clock.FrameClock`), or None.
     """
     run = converted(model, recorded)
     kind = next((name for name in ("vertices", "markers", "points") if getattr(run, name) is not None), None)
@@ -71,7 +73,9 @@ def summary(recorded: Run, model: Any = None) -> dict[str, Any]:
     words = advice(run, document["home_visits"])
     document["can_tell"] = [word.to_dict() for word in words if word.tells]
     document["cannot_tell"] = [word.to_dict() for word in words if not word.tells]
-    document["warnings"] = _warnings(run)
+    clock = frame_clock(run)
+    document["frame_clock"] = None if clock is None else clock.to_dict()
+    document["warnings"] = _warnings(run) + ([str(clock)] if clock is not None and clock.differs else [])
     return document
 
 

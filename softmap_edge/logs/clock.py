@@ -302,6 +302,30 @@ def spread(t: Array) -> Array:
     return np.asarray(np.repeat(begin, count) + within * np.repeat(step, count))
 
 
+def corrected(t_seen: Array, start: float, fast_ppm: float, step: tuple[float, float] | None) -> Array:
+    """Return times of frames (K,) s on the clock of the commands.
+
+    Args:
+        t_seen: (K,) s, as the clock of the frames has them.
+        start: s, where both clocks agree: the first command.
+        fast_ppm: by how much the clock of the frames runs fast.
+        step: when it is set (s, as it shows), and by how much (s); None if it is not.
+
+    Raises:
+        RunError: the frames before and after the step would overlap.
+    """
+    t = t_seen.copy()
+    if step is not None:
+        t[t_seen >= step[0]] -= step[1]
+        if (np.diff(t) <= 0).any():
+            k = int(np.argmax(np.diff(t) <= 0))
+            raise RunError(
+                f"seen.clock_step = [{step[0]:.6g}, {step[1]:.6g}]: frames overlap after {t_seen[k]:.6g} s, where none "
+                "may; give the time and the sign of the step, as `softmap check` prints them"
+            )
+    return np.asarray(start + (t - start) / (1.0 + 1e-6 * fast_ppm))
+
+
 def _gaps(where: str, t: Array, cells: Cells) -> list[str]:
     """Rows that a regular clock should have had."""
     step = np.diff(t)

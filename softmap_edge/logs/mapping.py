@@ -103,6 +103,8 @@ class Mapping:
     marker_rest_s: tuple[float, float] | None = None
     load_g: tuple[tuple[str, float], ...] = ()
     declare_load: bool = True
+    fast_ppm: float = 0.0  # by how much the clock of the frames runs fast against that of the commands
+    clock_step: tuple[float, float] | None = None  # s: when the clock of the frames is set, and by how much
 
     def to_base(self, points: Array) -> Array:
         """Return points (..., 3) mm of the log's frame in the base frame: shifted, then axes turned."""
@@ -181,10 +183,17 @@ def _mapping(path: Path, top: TomlTable) -> Mapping:
         marker_rest_s=_stretch(constant),
         load_g=_loads(constant),
         declare_load=bool(constant.get("declare_load", (bool,), True)),
+        fast_ppm=seen.number("fast_ppm", 0.0, -1e5, 1e5) or 0.0,
+        clock_step=_step(seen),
     )
     for table in (frame, commands, seen, blocks, constant, top):
         table.done()
     return mapping
+
+
+def _step(seen: TomlTable) -> tuple[float, float] | None:
+    step = seen.numbers("clock_step", (2,))
+    return None if step is None else (float(step[0]), float(step[1]))
 
 
 def _stretch(constant: TomlTable) -> tuple[float, float] | None:

@@ -224,6 +224,4 @@ def _raw_times(path: Path, columns: Columns, cells: Cells, places: list[int], cl
             part = np.mod(part, DAY) if dated and texts[at].form == "day" else part
             dated, seconds = True, 1.0
         t = t + part * seconds
-    if clock.fast_ppm:
-        t = t[0] + (t - t[0]) / (1.0 + 1e-6 * clock.fast_ppm)
-    return np.asarray(t)
+    return t

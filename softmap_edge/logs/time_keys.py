@@ -28,7 +28,6 @@ class Clock:
         more: columns that are added, with s of one unit of each: nanoseconds to seconds, a time of day to a date.
         jumps: `mend` to count on over a roll-over, and to take out one step of a clock that was set.
         assumed: whether the rate is an assumption that nobody has confirmed.
-        fast_ppm: by how much the clock of this log runs fast, in parts per million.
     """
 
     column: Column | None
@@ -40,7 +39,6 @@ class Clock:
     more: tuple[tuple[Column, float], ...] = ()
     jumps: str = "refuse"
     assumed: bool = False
-    fast_ppm: float = 0.0
 
     @property
     def columns(self) -> list[Column]:
@@ -80,7 +78,6 @@ def clock_of(log: TomlTable) -> Clock:
         more=tuple(several[1:]),
         jumps=time.choice("jumps", ("refuse", "mend"), "refuse"),
         assumed=bool(time.get("assumed", (bool,), False)),
-        fast_ppm=time.number("fast_ppm", 0.0, -1e5, 1e5) or 0.0,
     )
     time.done()
     return clock
