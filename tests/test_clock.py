@@ -1,4 +1,4 @@
-"""Clocks that roll over, are set, or stand still: what is said, what is mended, and what a remedy costs."""
+"""Clocks that roll over, are set, or stand still: what is reported, what is mended, and what a remedy costs."""
 
 import re
 
@@ -58,39 +58,37 @@ ROLLS = {
 @pytest.mark.parametrize("kind", ROLLS)
 def test_a_roll_over_is_named_and_counted_on(tmp_path, kind):
     period, scale, words, keys = ROLLS[kind]
-    whole = uneven() if "counter" not in kind else STEP * np.arange(COUNT)
-    t = (period - 4 * scale + whole * scale) % period if period > 8 * scale else (whole * scale) % period
+    even = uneven() if "counter" not in kind else STEP * np.arange(COUNT)
+    t = (period - 4 * scale + even * scale) % period if period > 8 * scale else (even * scale) % period
     path = log(tmp_path, np.rint(t) if scale > 1 else t)
     message = fault(path, keys)
     assert f"the clock rolls over at {words}" in message and 'jumps = "mend"' in message and "drop" not in message
     assert re.search(r"at row \d+ \(line \d+", message)
     done = imported(path, keys + ', jumps = "mend"')
     assert len(done.run.t) == COUNT and done.run.t - done.run.t[0] == pytest.approx(
-        whole - whole[0], abs=1.1 / scale + 1e-4
+        even - even[0], abs=1.1 / scale + 1e-4
     )
     assert any("rolls over" in note for note in done.notes) and not any("rolls" in doubt for doubt in done.doubts)
 
 
 def test_a_proposal_counts_on_over_a_roll_over(tmp_path):
-    whole = uneven()
-    path = log(tmp_path, np.rint((4294967296 - 4e6 + whole * 1e6) % 4294967296))
+    even = uneven()
+    path = log(tmp_path, np.rint((4294967296 - 4e6 + even * 1e6) % 4294967296))
     found = guess_mapping([path])
     assert 'unit = "us", jumps = "mend"' in found.text
-    assert import_logs([path], parse_mapping(found.text, path)).run.t[-1] - whole[-1] == pytest.approx(
-        4290.967, abs=0.1
-    )
+    assert import_logs([path], parse_mapping(found.text, path)).run.t[-1] - even[-1] == pytest.approx(4290.967, abs=0.1)
 
 
 # --- steps ---------------------------------------------------------------------------------
 @pytest.mark.parametrize("size", [60.0, 0.7, 3600.0, 60.0 - STEP])
 def test_a_clock_that_was_set_back_is_named_with_its_step_and_the_ways_out(tmp_path, size):
-    whole = 1000 + STEP * np.arange(COUNT)
-    t = np.where(np.arange(COUNT) >= 133, whole - size, whole)
+    even = 1000 + STEP * np.arange(COUNT)
+    t = np.where(np.arange(COUNT) >= 133, even - size, even)
     path = log(tmp_path, t)
     message = fault(path)
     assert "row 133 (line 135" in message and f"set back by about {size:.6g} s" in message and "drop" not in message
     done = imported(path, ', jumps = "mend"')
-    assert done.run.t == pytest.approx(whole, abs=1e-6)
+    assert done.run.t == pytest.approx(even, abs=1e-6)
     assert any("the step was taken out" in doubt and f"{-size:.6g} s" in doubt for doubt in done.doubts)
     first, second = re.search(r"to_row = (\d+) and from_row = (\d+)", message).groups()
     for keys, count in ((f"to_row = {first}", 133), (f"from_row = {second}", COUNT - 133)):
@@ -99,11 +97,11 @@ def test_a_clock_that_was_set_back_is_named_with_its_step_and_the_ways_out(tmp_p
 
 
 def test_a_clock_that_was_set_forward_is_a_look_at_and_a_pause_is_not(tmp_path):
-    whole = STEP * np.arange(COUNT)
-    t = np.where(np.arange(COUNT) >= 133, whole + 3600, whole)
+    even = STEP * np.arange(COUNT)
+    t = np.where(np.arange(COUNT) >= 133, even + 3600, even)
     done = imported(log(tmp_path, t))
     assert any("leaps by 3600.05 s at row 133" in doubt and "set forward" in doubt for doubt in done.doubts)
-    assert imported(log(tmp_path, t), ', jumps = "mend"').run.t == pytest.approx(whole)
+    assert imported(log(tmp_path, t), ', jumps = "mend"').run.t == pytest.approx(even)
     far = write(
         tmp_path / "log.csv",
         ",".join(NAMES),
@@ -131,8 +129,8 @@ def test_drop_is_offered_only_where_it_loses_few_rows(tmp_path):
 
 
 def test_drop_that_loses_much_is_a_look_at(tmp_path):
-    whole = uneven()
-    path = log(tmp_path, np.rint((4294967296 - 4e6 + whole * 1e6) % 4294967296))
+    even = uneven()
+    path = log(tmp_path, np.rint((4294967296 - 4e6 + even * 1e6) % 4294967296))
     done = imported(path, ', unit = "us", repeated = "drop"')
     lost = COUNT - len(done.run.t)
     assert lost > 150
@@ -140,7 +138,7 @@ def test_drop_that_loses_much_is_a_look_at(tmp_path):
 
 
 def test_times_that_are_made_up_are_a_look_at_with_their_count(tmp_path):
-    t = np.floor(STEP * (np.arange(COUNT) + 13))  # whole seconds, the first one cut
+    t = np.floor(STEP * (np.arange(COUNT) + 13))  # even seconds, the first one cut
     path = log(tmp_path, t)
     assert "drop" not in fault(path) and '"spread"' in fault(path)
     done = imported(path, ', repeated = "spread"')

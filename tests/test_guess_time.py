@@ -1,4 +1,4 @@
-"""What tells time in a log: seconds with their fraction, counters, nothing; and places among columns without names."""
+"""The time of a log: seconds with their fraction, counters, nothing; and places among columns without names."""
 
 import math
 
@@ -18,10 +18,10 @@ def at(k):
     return START + STEP * k + 0.004 * math.sin(3 * k)
 
 
-def parts(unit, first="whole"):
+def parts(unit, first="full"):
     def written(k):
-        whole, fraction = int(at(k)), round((at(k) - int(at(k))) * {"ns": 1e9, "us": 1e6, "ms": 1e3}[unit])
-        return f"{whole},{fraction}" if first == "whole" else f"{fraction},{whole}"
+        full, fraction = int(at(k)), round((at(k) - int(at(k))) * {"ns": 1e9, "us": 1e6, "ms": 1e3}[unit])
+        return f"{full},{fraction}" if first == "full" else f"{fraction},{full}"
 
     return written
 
@@ -29,12 +29,12 @@ def parts(unit, first="whole"):
 @pytest.mark.parametrize(
     ("names", "unit", "first"),
     [
-        ("stamp.sec,stamp.nanosec", "ns", "whole"),
-        ("header.stamp.secs,header.stamp.nsecs", "ns", "whole"),
+        ("stamp.sec,stamp.nanosec", "ns", "full"),
+        ("header.stamp.secs,header.stamp.nsecs", "ns", "full"),
         ("tv_usec,tv_sec", "us", "fraction"),
-        ("Seconds,Nanoseconds", "ns", "whole"),
-        ("sec,nsec", "ns", "whole"),
-        ("log_s,log_ms", "ms", "whole"),
+        ("Seconds,Nanoseconds", "ns", "full"),
+        ("sec,nsec", "ns", "full"),
+        ("log_s,log_ms", "ms", "full"),
     ],
 )
 def test_seconds_and_their_fraction_are_one_time(tmp_path, names, unit, first):
@@ -59,7 +59,7 @@ def test_a_pair_in_a_mapping(tmp_path):
     for keys, words in (
         ('columns = ["s"]', "expected two"),
         ('columns = ["s", "n"], column = "s"', "give one of them"),
-        ('columns = ["s", "n"], units = ["s", "h"]', "expected two of s, ms"),
+        ('columns = ["s", "n"], units = ["s", "week"]', "expected two of s, ms"),
         ('columns = ["s", "n"], rate_hz = 3', "leave rate_hz out"),
         ('columns = ["s", "n"], unit = "s"', "give units"),
         ('column = "s", units = ["s", "ns"]', "units without columns"),
@@ -86,6 +86,41 @@ def test_a_log_without_time_is_declared_so(tmp_path):
     assert 'time = "none"' in found.text and any("nothing about rates" in line for line in found.unknown)
     done = import_logs([path], parse_mapping(found.text, path))
     assert done.run.timeless and done.run.frames == 40
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (lambda k: f"{STEP * k}s", "'time' holds '0.0s', which is not read as time"),
+        (lambda k: f"2031-127T10:15:{k:02d}", "'time' holds '2031-127T10:15:00'"),
+        (lambda k: "2031-05-07", "'time' holds one date only"),
+    ],
+)
+def test_a_column_of_time_that_is_not_read_is_named(tmp_path, text, words):
+    path = write(tmp_path / "log.csv", ",".join(NAMES), rows(time=text))
+    found = guess_mapping([path])
+    assert any(words in line for line in found.assumed) and 'time = "none"' in found.text
+
+
+def test_a_line_that_is_no_row_does_not_hide_the_time(tmp_path):
+    path = write(tmp_path / "log.csv", ",".join(NAMES), rows(), "Average,1,2,3,4,5")
+    found = guess_mapping([path])
+    assert any("line 42, column time: 'Average' is not a number" in line for line in found.said)
+    assert "none" not in found.text
+
+
+def test_the_finer_of_two_clocks_is_taken(tmp_path):
+    lines = rows(time=lambda k: f"2031-05-07 10:15:{k // 20:02d},{50 * k}")
+    found = guess_mapping([write(tmp_path / "log.csv", ",".join(["date", "time_ms", *NAMES[1:]]), lines)])
+    assert 'column = "time_ms", unit = "ms"' in found.text
+
+
+def test_days_of_a_spreadsheet(tmp_path):
+    path = write(tmp_path / "log.csv", ",".join(NAMES), rows(time=lambda k: f"{48000.427 + STEP * k / 86400:.10f}"))
+    found = guess_mapping([path])
+    assert 'unit = "d"' in found.text
+    run = import_logs([path], parse_mapping(found.text, path)).run
+    assert run.t == pytest.approx(STEP * np.arange(40), abs=1e-4)
 
 
 def test_two_logs_without_time_are_joined_at_a_rate_that_is_assumed(tmp_path):

@@ -148,7 +148,7 @@ def test_a_log_with_dates(tmp_path, form):
     time, style = FORMS[form]
     path = write(tmp_path / "log.csv", style.get("cut", ",").join(["Zeitpunkt", *NAMES[1:]]), rows(time=time, **style))
     found = guess_mapping([path])
-    assert not any("no column tells time" in line for line in [*found.assumed, *found.unknown])
+    assert not any("no column holds time" in line for line in [*found.assumed, *found.unknown])
     run = import_logs([path], parse_mapping(found.text, path)).run
     assert run.t == pytest.approx(STEP * np.arange(40), abs=1e-5) and run.channels == 2
     mapping = (

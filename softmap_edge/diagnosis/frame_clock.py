@@ -8,7 +8,7 @@ W: with M = 1 − φ(φᵀφ)⁻¹φᵀ and G the slopes of each block, H δ = �
 blocks in the metric H, and the scatter of the blocks gives the uncertainty, so slow changes of the robot widen it.
 What play and lag explain as well is not taken for a clock (`SEPARATE`): a step where the speed of the moves changes.
 b is the rate: frames stamped by a clock that runs fast by 100 ppm come 100 µs later every second. The constant a is
-latency, or one shift of the clock, and nothing is said of it (`clock_shift`). Units: s, mm. Limits: 200 frames in 20
+latency, or one shift of the clock, and is not reported (`clock_shift`). Units: s, mm. Limits: 200 frames in 20
 s, commands that explain half of the motion, and a change beyond five standard errors; one step. Pinned by
 tests/test_frame_clock.py.
 """
@@ -27,7 +27,7 @@ from softmap_edge.run import Run, known
 Floats = NDArray[np.float64]
 
 LEAST_FRAMES, LEAST_S = 200, 20.0
-SEPARATE = 0.3  # of the information on a line or step that must remain beside play and lag
+SEPARATE = 0.3  # of the information on a line or step that must remain next to play and lag
 FRAMES = 2000  # at most, evenly thinned
 POINTS = 40  # of the body at most, evenly thinned
 ROWS = 3_000_000  # numbers of commands with play and lag that are held; longer runs are thinned

@@ -29,7 +29,7 @@ _REGULAR = 0.2  # of the usual step: what a clock with jitter stays within
 _SLOWEST = 3.0  # times the 95th percentile of the steps: the longest step that a roll-over may leave
 _BITS = (16, 24, 32)
 _LEAP = 50.0  # times the 95th percentile of the steps: from here on a step forward is a pause or a clock that was set
-_NEAR = 20  # rows on either side that tell how far values move from row to row
+_NEAR = 20  # rows on either side that show how far values move from row to row
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,7 @@
 
 Only the rules that a laboratory's habits give: `x1, y1, z1` are a point; `u3`, `cmd_2` or `servo_4_mm` are commands;
 `phi2` or `present_1` are encoders. Every answer carries the reason that is shown to the user. `guess_time.py` finds
-what tells time.
+the time.
 """
 
 from __future__ import annotations

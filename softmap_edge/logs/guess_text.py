@@ -78,8 +78,8 @@ def _inside(sheet: Sheet, found: Found) -> list[str]:
         if pair is not None and pair[0] is sheet:
             unit = pair[1].unit
             key = f"present_{unit}".removeprefix("present_" * (kind == "command")) if unit == "ticks" else kind
-            told = f', unit = "{unit}"' if unit and unit != "ticks" else ""
-            lines.append(f"{key} = {{ columns = [{', '.join(cell(sheet, c) for c in pair[1].columns)}]{told} }}")
+            stated = f', unit = "{unit}"' if unit and unit != "ticks" else ""
+            lines.append(f"{key} = {{ columns = [{', '.join(cell(sheet, c) for c in pair[1].columns)}]{stated} }}")
     if found.points is not None and found.points[0] is sheet:
         _, triples, unit = found.points
         for kind, places in (("markers", triples), ("base", found.base)):

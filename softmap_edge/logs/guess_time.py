@@ -1,7 +1,7 @@
-"""Finds what tells time in a log: one column, seconds with their nanoseconds, a date with a time of day, or nothing.
+"""Finds the time of a log: one column, seconds with their nanoseconds, a date with a time of day, or nothing.
 
 A column whose cells are dates or times always counts, whatever its name. Otherwise a column that rises throughout and
-is called so, or is the first; a clock that falls counts where one roll-over or one step explains it. Whole seconds that
+is called so, or is the first; a clock that falls counts where one roll-over or one step explains it. Full seconds that
 repeat are completed by the fraction next to them: of the same name, or because it falls only where they rise. Pinned by
 tests/test_guess_time.py.
 """
@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from softmap_edge.logs.clock import counting_on, find_jump
 from softmap_edge.logs.guess_columns import Sheet, unit_in_name
+from softmap_edge.logs.readers.cells import is_value
 from softmap_edge.logs.time_keys import NO_TIME, ROW_S, TIME, Clock
 from softmap_edge.logs.time_text import DAY
 
@@ -30,12 +31,14 @@ _FRACTION = {
     "us": re.compile(r"(micro_?sec(onds|s)?|u_?secs?|us)$", re.IGNORECASE),
     "ms": re.compile(r"(milli_?sec(onds|s)?|m_?secs?|ms)$", re.IGNORECASE),
 }
-_FALLS = 0.02  # of the rows: more falls than that, and a column is no clock
+_FALLS = 0.1  # of the rows: more falls than that, and a column is no clock
+_DAYS = ((2e4, 8e4), (7e5, 8e5))  # of dates since about 1955, as spreadsheets and Matlab count days
+_COARSE = 0.05  # of the rows share a time: another column may be finer
 
 
 @dataclass(frozen=True)
 class TimeFound:
-    """What tells time in a log.
+    """The time of a log.
 
     Attributes:
         columns: its columns; none where the rows only count.
@@ -55,7 +58,7 @@ class TimeFound:
 
 
 def time_of(sheet: Sheet, alone: bool = True) -> TimeFound:
-    """Return what tells time in a log.
+    """Return the time of a log.
 
     Args:
         sheet: the log.
@@ -68,13 +71,16 @@ def time_of(sheet: Sheet, alone: bool = True) -> TimeFound:
     if single is not None:
         return _of_column(sheet, single)
     rows = np.arange(len(sheet.numbers), dtype=float)
+    unread = _unread(sheet)
+    why = "no column holds time" if unread is None else f"'{unread[0]}' {unread[1]}"
+    if unread is not None and unread[2]:
+        line = f"time = {{ column = {cell(sheet, unread[0])} }}   # UNKNOWN: it {unread[1]}"
+        return TimeFound((unread[0],), "s", why, line, rows)
     if alone:
-        line = (
-            f'time = "{NO_TIME}"   # UNKNOWN: no column tells time; {{ rate_hz = … }} if you know the rate of the log'
-        )
-        return TimeFound((), "none", "no column tells time: only the order of the rows is known", line, rows * ROW_S)
+        line = f'time = "{NO_TIME}"   # UNKNOWN: {{ rate_hz = … }} if you know the rate of the log'
+        return TimeFound((), "none", f"{why}: only the order of the rows is known", line, rows * ROW_S)
     line = f"time = {{ rate_hz = {RATE_HZ}, assumed = true }}   # UNKNOWN: the rate of the log"
-    return TimeFound((), "rows", "no column tells time", line, rows / RATE_HZ)
+    return TimeFound((), "rows", why, line, rows / RATE_HZ)
 
 
 def _known(sheet: Sheet, name: str) -> Array:
@@ -91,21 +97,50 @@ def cell(sheet: Sheet, name: str) -> str:
 
 # --- one column ----------------------------------------------------------------------------
 def _single(sheet: Sheet) -> str | None:
-    """The column that tells time by itself."""
+    """The column that is time by itself."""
     dated = [name for name in sheet.clocks if len(known := _known(sheet, name)) > 1 and np.ptp(known) > 0]
-    if dated:
-        return min(dated, key=lambda name: (sheet.clocks[name] == "day", sheet.names.index(name)))
+    best = min(dated, key=lambda name: (sheet.clocks[name] == "day", sheet.names.index(name)), default=None)
+    if best is not None and not _coarse(sheet, best):
+        return best
     rising = [name for name in dict.fromkeys(sheet.names) if _rises(_known(sheet, name))]
     falling = [name for name in dict.fromkeys(sheet.names) if name not in rising and _falls(sheet, name)]
     for names in (rising, falling):
         for pattern in (_TIMES, _COUNTERS):
-            for name in names:
-                if pattern.search(re.sub(r"[\[(].*?[\])]", "", name).strip()):
-                    return name
+            fits = [name for name in names if name not in dated and pattern.search(_bare(name))]
+            finer = [name for name in fits if not _coarse(sheet, name)]
+            if best is not None and (pattern is _COUNTERS or not finer):
+                continue
+            if fits:
+                return (finer or fits)[0]
+    if best is not None:
+        return best
     first = rising[0] if rising else falling[0] if falling else None
     if first == sheet.names[0] and (not sheet.header or _even(sheet.column(first))):
         return first
     return None
+
+
+def _bare(name: str) -> str:
+    """A name without its unit in brackets."""
+    return re.sub(r"[\[(].*?[\])]", "", name).strip()
+
+
+def _coarse(sheet: Sheet, name: str) -> bool:
+    """Whether many rows share a time with the row before."""
+    known = _known(sheet, name)
+    return len(known) > 1 and bool((np.diff(known) == 0).mean() > _COARSE)
+
+
+def _unread(sheet: Sheet) -> tuple[str, str, bool] | None:
+    """A column of text called as time is, what it holds, and whether most of its cells are numbers or times."""
+    for name, texts in sheet.texts.items():
+        filled = [text for text in texts if text]
+        if filled and sheet.header and _TIMES.search(_bare(name)):
+            odd = next((text for text in filled if not is_value(text)), filled[0])[:40]
+            most = 2 * sum(map(is_value, filled)) > len(filled)
+            return name, f"holds '{odd}'" + (" as well" if most else ", which is not read as time"), most
+    one = next((name for name, form in sheet.clocks.items() if form != "day"), None)
+    return None if one is None else (one, "holds one date only", False)
 
 
 def _rises(known: Array) -> bool:
@@ -182,6 +217,8 @@ def _unit(sheet: Sheet, name: str) -> tuple[str, str]:
     for limit, unit in ((1e17, "ns"), (1e14, "us"), (1e11, "ms"), (1e8, "s")):
         if largest > limit and usual * TIME[unit] < 1000.0:
             return unit, f"it counts {unit} since 1970"
+    if any(low < largest < high for low, high in _DAYS) and 2e-4 <= usual * TIME["d"] < 5.0:
+        return "d", "it counts days, as a spreadsheet does"
     if (values == np.rint(values)).all() and usual == 1.0:
         return "rows", "it counts rows"
     for unit in ("s", "ms", "us", "ns"):
@@ -217,38 +254,38 @@ def _date_and_day(sheet: Sheet) -> tuple[tuple[str, str], tuple[str, str], str] 
 
 
 def _whole_and_fraction(sheet: Sheet) -> tuple[tuple[str, str], tuple[str, str], str] | None:
-    """Whole seconds, and the fraction of a second in another column."""
-    for whole in sheet.names:
-        stem = _WHOLE.sub("", whole)
-        if not sheet.header or stem == whole or whole in sheet.texts:
+    """Full seconds, and the fraction of a second in another column."""
+    for full in sheet.names:
+        stem = _WHOLE.sub("", full)
+        if not sheet.header or stem == full or full in sheet.texts:
             continue
         for unit, pattern in _FRACTION.items():
             for name in sheet.names:
-                same = name != whole and pattern.search(name) and pattern.sub("", name).lower() == stem.lower()
-                if same and _completes(_known(sheet, whole), _known(sheet, name), TIME[unit]):
-                    return (whole, name), ("s", unit), f"'{whole}' holds seconds and '{name}' their {unit}"
-    for whole, name in zip(sheet.names, sheet.names[1:]):
+                same = name != full and pattern.search(name) and pattern.sub("", name).lower() == stem.lower()
+                if same and _completes(_known(sheet, full), _known(sheet, name), TIME[unit]):
+                    return (full, name), ("s", unit), f"'{full}' holds seconds and '{name}' their {unit}"
+    for full, name in zip(sheet.names, sheet.names[1:]):
         for unit in ("ns", "us", "ms"):
-            one, two = _known(sheet, whole), _known(sheet, name)
+            one, two = _known(sheet, full), _known(sheet, name)
             if _completes(one, two, TIME[unit]) and _turns(one, two, TIME[unit]):
-                return (whole, name), ("s", unit), f"column {whole} holds seconds and column {name} their {unit}"
+                return (full, name), ("s", unit), f"column {full} holds seconds and column {name} their {unit}"
     return None
 
 
-def _completes(whole: Array, fraction: Array, seconds: float) -> bool:
-    """Whether two columns of whole numbers are seconds that do not fall, and a fraction below one second."""
-    if len(whole) != len(fraction) or len(whole) < 2 or not (np.rint(whole) == whole).all():
+def _completes(full: Array, fraction: Array, seconds: float) -> bool:
+    """Whether two columns of integers are seconds that do not fall, and a fraction below one second."""
+    if len(full) != len(fraction) or len(full) < 2 or not (np.rint(full) == full).all():
         return False
     if not (np.rint(fraction) == fraction).all() or fraction.min() < 0 or fraction.max() * seconds >= 1.0:
         return False
-    return bool(_rises(whole + fraction * seconds) and (np.diff(whole) >= 0).mean() > 0.999)
+    return bool(_rises(full + fraction * seconds) and (np.diff(full) >= 0).mean() > 0.999)
 
 
-def _turns(whole: Array, fraction: Array, seconds: float) -> bool:
+def _turns(full: Array, fraction: Array, seconds: float) -> bool:
     """Whether the fraction falls only where the seconds rise, and fills most of a second."""
-    falls, rises = np.diff(fraction) < 0, np.diff(whole) > 0
-    repeats = (np.diff(whole) == 0).mean() > 0.3
-    step = np.diff(whole + fraction * seconds)
+    falls, rises = np.diff(fraction) < 0, np.diff(full) > 0
+    repeats = (np.diff(full) == 0).mean() > 0.3
+    step = np.diff(full + fraction * seconds)
     even = bool((step > 0).mean() > 0.99 and step.max() < 0.9)
     filled = float(np.ptp(fraction)) * seconds > 0.5
     return bool(repeats and falls.any() and not (falls & ~rises).any() and even and filled)

@@ -156,7 +156,7 @@ def _cut(path: Path, cells: Cells, log: Log) -> Cells:
 
 
 def _assumed(clock: Clock, rows: int) -> tuple[str, ...]:
-    """Say that times come from a rate that nobody has confirmed."""
+    """Say that times come from a rate that is not confirmed."""
     if not clock.assumed:
         return ()
     what = "the number of the row" if clock.column is None else f"'{clock.column}'"

@@ -1,4 +1,4 @@
-"""The `time` of a mapping: which columns tell time, in which unit, and what to do where it does not increase."""
+"""The `time` of a mapping: which columns hold time, in which unit, and what to do where it does not increase."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from softmap_edge.toml_table import TomlTable, shown
 
 NO_TIME = "none"  # the `time` of a log without time: its rows are counted
 ROW_S = 0.05  # s for each row of such a log: the rate at which a model is learned, so that no row is left out
-TIME = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0}  # → s
+TIME = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0, "d": 86400.0}  # → s
 
 
 @dataclass(frozen=True)
@@ -27,7 +27,7 @@ class Clock:
         date_order: `dmy` or `mdy` of dates such as 5/7/2031; None where the rows decide.
         more: columns that are added, with s of one unit of each: nanoseconds to seconds, a time of day to a date.
         jumps: `mend` to count on over a roll-over, and to take out one step of a clock that was set.
-        assumed: whether the rate is an assumption that nobody has confirmed.
+        assumed: whether the rate is an assumption.
     """
 
     column: Column | None
@@ -63,8 +63,8 @@ def clock_of(log: TomlTable) -> Clock:
         raise RunError(f"{time.where}: column and columns; give one of them")
     if one is None and not several and rate is None:
         raise RunError(
-            f"{time.where}: needs `column`, `rate_hz`, or both (a counter), or `columns`; say how the log tells time, "
-            f'or time = "{NO_TIME}" if it does not'
+            f"{time.where}: needs `column`, `rate_hz`, or both (a counter), or `columns`; say where the log has its "
+            f'time, or time = "{NO_TIME}" if it has none'
         )
     if several and rate is not None:
         raise RunError(f"{time.where}: columns and rate_hz; leave rate_hz out, or give one column, a counter")

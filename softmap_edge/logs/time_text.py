@@ -199,11 +199,11 @@ def _of_day(part: dict[str, str | None]) -> float:
     hours, half = int(part.get("h") or 0), (part.get("half") or "").lower()
     if half:
         hours = hours % 12 + (12 if half == "p" else 0)
-    minutes, whole = int(part.get("mi") or 0), int(part.get("s") or 0)
-    if hours > 24 or minutes > 59 or whole > 60:
+    minutes, seconds = int(part.get("mi") or 0), int(part.get("s") or 0)
+    if hours > 24 or minutes > 59 or seconds > 60:
         return np.nan
     fraction = part.get("f") or part.get("ms")
-    return 3600.0 * hours + 60.0 * minutes + whole + (float("0." + fraction) if fraction else 0.0)
+    return 3600.0 * hours + 60.0 * minutes + seconds + (float("0." + fraction) if fraction else 0.0)
 
 
 def _days(first: str, second: str, year: str, named: str) -> tuple[float, float]:

@@ -38,7 +38,7 @@ def trimmed(cells: list[str]) -> list[str]:
 def find_delimiter(line: str) -> str:
     """Return what cuts a line into most cells; a space only where nothing else does.
 
-    Between numbers with decimal commas there are more commas than delimiters: what leaves such numbers whole, cuts.
+    Between numbers with decimal commas there are more commas than delimiters: the delimiter does not cut such numbers.
     """
     for mark in (";", "\t", "|", " "):
         cells = [cell for cell in split(line, mark) if cell] if "," in line else []

@@ -81,7 +81,7 @@ def find_table(lines: list[str], delimiter: str | None, absent: Collection[str])
         found = [_line(line, mark, absent) for line in lines]
         table = _table(found, mark)
         if table is not None:
-            rows = [line.cells for line in found[table.first :] if line.kind == "row" and _whole(line, table.width)]
+            rows = [line.cells for line in found[table.first :] if line.kind == "row" and _full(line, table.width)]
             numbers = sum(is_value(cell) for row in rows[:100] for cell in row)
             filled = sum(1 for row in rows[:100] for cell in row if cell)
             score = (len(rows), table.names is not None, numbers, numbers / max(filled, 1))
@@ -125,7 +125,7 @@ def _shorter(lines: list[_Line], width: int) -> set[int]:
     return {w for w, count in counts.items() if 1 < w < width and count >= least}
 
 
-def _whole(line: _Line, width: int) -> bool:
+def _full(line: _Line, width: int) -> bool:
     """Whether a row has cells of its own in no column beyond the table's, and is not cut."""
     return len(line.cells) >= width >= len(trimmed(line.cells))
 
@@ -134,7 +134,7 @@ def _table(lines: list[_Line], mark: str) -> Table | None:
     if not any(line.kind == "row" for line in lines):
         return None
     width = _width(lines)
-    rows = [k for k, line in enumerate(lines) if line.kind == "row" and _whole(line, width)]
+    rows = [k for k, line in enumerate(lines) if line.kind == "row" and _full(line, width)]
     if not rows:
         return None
     begin = [_first_of(lines, k, width) for k in rows if k == rows[0] or _opens(lines, k)]
@@ -194,8 +194,8 @@ def _units_below(cells: list[str], lines: list[_Line], k: int, width: int) -> bo
     if all(is_unit(cell) for cell in filled):
         return True
     above = trimmed(lines[k - 1].cells) if k and lines[k - 1].kind == "text" else []
-    whole = len(above) == len(trimmed(cells)) and all(above) and len(set(above)) == len(above)
-    return whole and len(set(filled)) < len(filled)
+    named = len(above) == len(trimmed(cells)) and all(above) and len(set(above)) == len(above)
+    return named and len(set(filled)) < len(filled)
 
 
 def _head(lines: list[_Line], first: int, width: int, fewest: int, mark: str, rows: list[int]) -> Table:
@@ -242,7 +242,8 @@ def _counts(rows: list[list[str]]) -> bool:
 
 def _comment_above(lines: list[_Line], first: int, width: int) -> int | None:
     """The last comment above a row, where it names its columns."""
-    comment = next((k for k in range(first - 1, -1, -1) if lines[k].kind == "comment"), None)
+    comments = [k for k in range(first - 1, -1, -1) if lines[k].kind == "comment"]
+    comment = next((k for k in comments if not all(map(is_unit, trimmed(lines[k].cells)))), None)
     if comment is None or len(trimmed(lines[comment].cells)) != width or all(map(is_value, lines[comment].cells)):
         return None
     return comment
@@ -280,5 +281,5 @@ def _grouped(names: list[str], above: _Line | None) -> list[str]:
 def widths_of(lines: list[str], mark: str) -> str:
     """Return the widths of the first lines for a message: `1, 5, 6 …`."""
     counts = [len(split(line, mark)) for line in lines if line.strip()]
-    told = list(dict.fromkeys(counts))
-    return ", ".join(map(str, told[:5])) + (" …" if len(told) > 5 else "")
+    shown = list(dict.fromkeys(counts))
+    return ", ".join(map(str, shown[:5])) + (" …" if len(shown) > 5 else "")

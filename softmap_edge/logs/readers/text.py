@@ -47,7 +47,7 @@ class TextColumns:
     notes: tuple[str, ...] = ()
     where: str = "line"
     header: bool = True
-    fewest: int | None = None  # cells of a whole row whose last cells are left out; as many as names where None
+    fewest: int | None = None  # cells of a full row whose last cells are left out; as many as names where None
     stop: int | None = None  # the line number after the last row; None: the end of the file
     clocks: dict[int, TimeText] = field(default_factory=dict)  # columns of dates or times, read as s
 
@@ -62,7 +62,7 @@ class TextColumns:
         return found
 
     def _first_rows(self, rows: int) -> list[list[str]]:
-        """The cells of the first rows that are whole."""
+        """The cells of the first rows that are full."""
         lines = [line for line in first_lines(self.path, rows, self.first) if line.strip()]
         cells = [split(self._fitted(line), self.delimiter) for line in lines]
         return [row for row in cells if len(row) == len(self.names)]
@@ -114,8 +114,8 @@ class TextColumns:
         at = np.concatenate(lines)
         blank = int(at[-1]) - self.first + 1 - count
         notes = (*self.notes, *((f"{blank} blank lines were left out",) if blank else ()))
-        table, said = self._joined(np.concatenate(parts), places, {k: np.concatenate(v) for k, v in times.items()})
-        return Cells(table, found, at, (*notes, *said))
+        table, more = self._joined(np.concatenate(parts), places, {k: np.concatenate(v) for k, v in times.items()})
+        return Cells(table, found, at, (*notes, *more))
 
     def _times(self, place: int, cells: Sequence[str], lines: NDArray[np.int64]) -> Array:
         """The seconds (rows, 2) of a column of times, in both orders of day and month."""
@@ -209,13 +209,13 @@ class TextColumns:
 
     def _complete(self, row: list[str], line: int) -> None:
         """Give a row as many cells as there are names, where only empty ones are too many or left out."""
-        whole, count = len(self.names), len(row)
-        while len(row) > whole and not row[-1].strip():
+        full, count = len(self.names), len(row)
+        while len(row) > full and not row[-1].strip():
             row.pop()
-        if len(row) < whole and count >= (whole if self.fewest is None else self.fewest):
-            row.extend([""] * (whole - len(row)))
-        if len(row) != whole:
-            raise RunError(f"{self.path}: line {line} has {count} cells, expected {whole}; {self._misfit(count, line)}")
+        if len(row) < full and count >= (full if self.fewest is None else self.fewest):
+            row.extend([""] * (full - len(row)))
+        if len(row) != full:
+            raise RunError(f"{self.path}: line {line} has {count} cells, expected {full}; {self._misfit(count, line)}")
 
     def _misfit(self, count: int, line: int) -> str:
         """What to do about a line with another number of cells than there are names."""
