@@ -15,6 +15,7 @@ import numpy as np
 from softmap_edge.diagnosis.advice import Word, advice
 from softmap_edge.diagnosis.collinear import collinear_conditions
 from softmap_edge.diagnosis.conditions import HOME, conditions, orientations
+from softmap_edge.diagnosis.frame_clock import frame_clock
 from softmap_edge.diagnosis.lost import REMEDY, without_lost
 from softmap_edge.report.advice_text import advice_lines
 from softmap_edge.report.numbers import folded
@@ -34,6 +35,7 @@ def summary(recorded: Run, model: Any = None) -> dict[str, Any]:
     `not_seen` are sentences on points that stand for "not seen". Such a run is not sound; they count as not visible.
     `can_tell` and `cannot_tell` are lists of `{about, tells, text, remedy, minutes}` (`advice.Word`). A `model` with a
     calibration converts the ticks of the run to commands. Raises CalibrationError if it belongs to other servos.
+    `frame_clock` is how the clock of the frames runs against that of the commands (`frame_clock.FrameClock`), or None.
     """
     run, lost = without_lost(converted(model, recorded), REMEDY)
     kind = next((name for name in ("vertices", "markers", "points") if getattr(run, name) is not None), None)
@@ -74,7 +76,9 @@ def summary(recorded: Run, model: Any = None) -> dict[str, Any]:
     words = advice(run, document["home_visits"])
     document["can_tell"] = [word.to_dict() for word in words if word.tells]
     document["cannot_tell"] = [word.to_dict() for word in words if not word.tells]
-    document["warnings"] = _warnings(run)
+    clock = frame_clock(run)
+    document["frame_clock"] = None if clock is None else clock.to_dict()
+    document["warnings"] = _warnings(run) + ([str(clock)] if clock is not None and clock.differs else [])
     return document
 
 

@@ -39,7 +39,8 @@ def test_the_trunk(tmp_path):
     done = imported(tmp_path, found, logs)
     right = import_logs(logs, read_mapping(ROOT / "examples" / "trunk.toml")).run
     run = done.run
-    assert done.doubts == () and run.command_unit == "deg"
+    assert len(done.doubts) == 2 and all("a rate that is assumed" in doubt for doubt in done.doubts)
+    assert run.command_unit == "deg"
     for name in ("t", "command", "present", "t_seen", "block"):
         assert np.array_equal(getattr(run, name), getattr(right, name)), name
     shift = run.markers - right.markers  # the place of the clamp is a guess, and said to be one

@@ -4,6 +4,7 @@ Each format is one line of FORMATS; `damage.py` says how files are spoiled and u
 """
 
 import pytest
+from bench_rows import NAMES, rows, write
 from damage import Format, assert_10000, assert_some, run_all, spoil_bytes, spoil_one_of, spoil_text_file
 from recordings import JOINT_STATE, places, robot_messages, write_c3d, write_mcap, write_motive, write_trc
 
@@ -54,6 +55,36 @@ def trc_sample(folder):
 def motive_sample(folder):
     t, points = places(20)
     return write_motive(folder / "take.csv", t, points / 1000)
+
+
+def qtm_sample(folder):
+    head = ["NO_OF_FRAMES\t20", "NO_OF_MARKERS\t1", "FREQUENCY\t20", "MARKER_NAMES\ttip"]
+    return write(folder / "take.tsv", head, ["\t".join(line.split(",")[3:]) for line in rows(20)])
+
+
+def nexus_sample(folder):
+    head = ["Trajectories", "20", ",,robot:tip,,", "Frame,Sub Frame,X,Y,Z", ",,mm,mm,mm"]
+    lines = [f"{k + 1},0," + ",".join(line.split(",")[3:]) for k, line in enumerate(rows(20))]
+    return write(folder / "take.csv", head, lines, "", "Devices", "1000", "Frame,Sub Frame,F", ",,N", "1,0,2")
+
+
+def lvm_sample(folder):
+    head = ["LabVIEW Measurement\t", "Separator\tTab", "Decimal_Separator\t,", "X_Columns\tNo", "***End_of_Header***\t"]
+    head += ["Delta_X\t0,05\t0,05", "***End_of_Header***\t\t", "\t".join(["X_Value", *NAMES[1:], "Comment"])]
+    return write(folder / "log.lvm", head, ["\t" + line.split("\t", 1)[1] for line in rows(20, "\t", ",")])
+
+
+def typed_sample(folder):
+    lines = [f"frame,{k},{k / 20},0,1," + ",".join(line.split(",")[3:]) + ",1,tip" for k, line in enumerate(rows(20))]
+    return write(folder / "old.csv", "comment,a", "righthanded", "info,version,1.1", lines)
+
+
+def dated_sample(folder):
+    """Lines above the names, dates, decimal commas."""
+    times = [f"07.05.2031 23:59:{59.1 + k / 20:.2f}" for k in range(18)]
+    lines = rows(18, ";", ",", time=lambda k: times[k])
+    write(folder / "log.csv", "sep=;", "Versuch;3", ";".join(["Zeit", *NAMES[1:]]), lines)
+    return folder
 
 
 def c3d_sample(folder):
@@ -172,6 +203,11 @@ FORMATS = [
     Format("mcap counts", bare_mcap_sample, spoil_counts, use_mcap),
     Format("guess", named_sample, spoil_one_of("log.csv"), use_guess),
     Format("guess of motive", motive_sample, spoil_text_file, use_guess),
+    Format("guess of qtm", qtm_sample, spoil_text_file, use_guess),
+    Format("guess of nexus", nexus_sample, spoil_text_file, use_guess),
+    Format("guess of lvm", lvm_sample, spoil_text_file, use_guess),
+    Format("guess of rows of types", typed_sample, spoil_text_file, use_guess),
+    Format("guess of dates", dated_sample, spoil_one_of("log.csv"), use_guess),
     Format("guess of mcap", bare_mcap_sample, spoil_counts, use_guess),
     Format("message", message_sample, spoil_counts, use_message),
 ]

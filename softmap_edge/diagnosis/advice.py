@@ -72,7 +72,7 @@ def advice(run: Run, home_visits: int) -> list[Word]:
     words += [] if run.output is not None else [_orientation(run), *_points(run)]  # outputs have no body
     words += _drive(u)
     if words[-1].about != "drive":
-        words += [] if run.timeless else [_speed(u, state), _dwell(state)]
+        words += [_no_time()] if run.timeless else [_speed(u, state), _dwell(state)]
         words.append(_direction(state))
     return [*words, _temperature(run)]
 
@@ -86,6 +86,7 @@ def asked(runs: Sequence[Run], frames: int, replicates: bool) -> list[str]:
         replicates: whether the noise comes from dwells.
     """
     words = [_enough(frames), *_drive(np.concatenate([commanded(run) for run in runs]))]
+    words += [_no_time()] if any(run.timeless for run in runs) else []
     if not replicates:
         words.append(_guessed(next((run.sigma for run in runs if run.sigma is not None), None)))
     words += [word for run in runs for word in _folds(run)]
@@ -105,6 +106,11 @@ def _guessed(sigma: Floats | None) -> Word:
         f"noise vs. effects of the same size: too few repeated poses to estimate the noise{stated}",
         f"rest at home and at two other places for 10 s each, with {DWELL_FRAMES} frames or more each time", 1.0,
     )  # fmt: skip
+
+
+def _no_time() -> Word:
+    text = "which law lags behind or drifts (delay, lag, rate, creep, drift): the log has no time"
+    return Word("time", False, text, "log the time of each row", 1.0)
 
 
 def _enough(frames: int) -> Word:

@@ -286,11 +286,11 @@ def _other_cause(model: Model, run: Run, seen: Floats, visible: Mask) -> None:
             f"with the opposite sign the commands explain {100 * share:.0f} % of the motion, as they are far "
             "less: every channel pulls the other way; set sign = -1 in the mapping"
         )
-    if later > ALIKE and abs(late) > LATE:
+    if later > ALIKE and abs(late) > LATE and not run.timeless:
         raise RunError(
             f"the commands explain {100 * later:.0f} % of the motion with the frames {abs(late):.4g} s "
             f"{'earlier' if late > 0 else 'later'}, as they are far less: bring both to one clock "
-            "(`clock` in the mapping)"
+            "(`time.offset_s` of one log in the mapping)"
         )
 
 

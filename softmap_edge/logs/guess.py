@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.errors import RunError
+from softmap_edge.logs.guess_bare import places_by_value
 from softmap_edge.logs.guess_columns import (
     Sheet,
     drive_unit,
@@ -26,16 +27,16 @@ from softmap_edge.logs.guess_columns import (
     points_of,
     read_sheets,
     roles_of,
-    time_of,
     unit_in_name,
 )
-from softmap_edge.logs.guess_text import RATE_HZ, Found, mapping_text, seconds
+from softmap_edge.logs.guess_text import Found, mapping_text, seconds
+from softmap_edge.logs.guess_time import RATE_HZ, time_of
 from softmap_edge.logs.importer import import_logs
 from softmap_edge.logs.lerobot import EITHER_UNIT
 from softmap_edge.logs.mapping import ANGLE, LENGTH, parse_mapping
 from softmap_edge.logs.not_seen import not_seen
 from softmap_edge.logs.plausible import at_rest, axes_for, is_base, rest_axis
-from softmap_edge.logs.triples import LeftOut
+from softmap_edge.logs.triples import LeftOut, Triples
 
 Array = NDArray[np.float64]
 
@@ -80,12 +81,18 @@ def guess_mapping(paths: Sequence[str | os.PathLike[str]]) -> Guess:
         names = ", ".join(path.name for path in files)
         raise RunError(f"{names}: {rows} row{'s' * (rows != 1)} of numbers; give the log of a whole recording")
     for k, sheet in enumerate(sheets):
-        name, unit, why = time_of(sheet)
-        found.times[k] = (name, unit)
-        found.assumed.append(f"time of {_called(sheet)}: {why}")
-        if unit == "rows":
-            what = "how fast rows were logged" if name is None else f"how fast '{name}' counts"
+        if not sheet.header:
+            found.assumed.append(f"columns of {_called(sheet)}: no line names them, so they are numbers from 0")
+        time = found.times[k] = time_of(sheet, alone=len(sheets) == 1)
+        found.assumed.append(f"time of {_called(sheet)}: {time.why}")
+        if time.unit == "rows":
+            what = f"how fast '{time.columns[0]}' counts" if time.columns else "how fast rows were logged"
             found.unknown.append(f"{what} in {_called(sheet)}: {RATE_HZ} Hz is written; put the rate of the log there")
+        elif not time.columns:
+            found.unknown.append(
+                f'how fast rows were logged in {_called(sheet)}: time = "none" is written, and nothing about rates or '
+                "delays can be learned; write time = { rate_hz = … } if you know the rate"
+            )
     _find_points(sheets, found)
     _find_drives(sheets, found)
     if found.points is None and found.command is None:
@@ -95,7 +102,7 @@ def guess_mapping(paths: Sequence[str | os.PathLike[str]]) -> Guess:
             "docs/mapping.md lists its keys, examples/trunk.toml shows the form"
         )
     found.unknown += [
-        line for sheet, time in zip(sheets, found.times.values()) for line in _left_out(sheet, time[0], found)
+        line for sheet, time in zip(sheets, found.times.values()) for line in _left_out(sheet, time.columns, found)
     ]
     if any(sheet.episode is not None for sheet in sheets):
         found.unknown.append(EITHER_UNIT)
@@ -124,9 +131,9 @@ def _called(sheet: Sheet) -> str:
     return sheet.path.name if sheet.topic is None else f"{sheet.path.name} {sheet.topic}"
 
 
-def _left_out(sheet: Sheet, time: str | None, found: Found) -> list[str]:
+def _left_out(sheet: Sheet, time: tuple[str, ...], found: Found) -> list[str]:
     """Name the columns that vary and are not taken, so that nobody believes that they are in the run."""
-    used = {time, found.label} | {c for pair in found.others if pair[0] is sheet for c in pair[1].columns}
+    used = {*time, found.label} | {c for pair in found.others if pair[0] is sheet for c in pair[1].columns}
     used |= {c for pair in (found.command, found.present) if pair and pair[0] is sheet for c in pair[1].columns}
     used |= {name for other, one in found.left if other is sheet for name in one.columns}
     if found.points is not None and found.points[0] is sheet:
@@ -150,7 +157,9 @@ def _range_of(sheet: Sheet) -> Any:
 
 # --- what is what --------------------------------------------------------------------------
 def _find_points(sheets: list[Sheet], found: Found) -> None:
-    each = [(points_of(sheet), sheet) for sheet in sheets]
+    each = [
+        (points_of(sheet) if sheet.header else _bare_places(sheets, found, k), sheet) for k, sheet in enumerate(sheets)
+    ]
     found.left = [(sheet, one) for triples, sheet in each for one in triples.left]
     found.unknown += [_no_place(sheet, one) for sheet, one in found.left]
     best, sheet = max(each, key=lambda pair: (len(pair[0].places) and len(pair[0].places[0]), len(pair[0].places)))
@@ -201,8 +210,19 @@ def _no_place(sheet: Sheet, one: LeftOut) -> str:
     )
 
 
+def _bare_places(sheets: list[Sheet], found: Found, k: int) -> Triples:
+    """The places of a log whose columns have no names."""
+    triples = places_by_value(sheets[k], set(found.times[k].columns))
+    if triples:
+        numbers = ", ".join(" ".join(triple) for triple in triples)
+        found.unknown.append(
+            f"whether columns {numbers} are places: no line names them, their values look like x, y, z"
+        )
+    return Triples(triples)
+
+
 def _find_drives(sheets: list[Sheet], found: Found) -> None:
-    spent = {id(sheet): {found.times[k][0] or ""} for k, sheet in enumerate(sheets)}
+    spent = {id(sheet): set(found.times[k].columns) for k, sheet in enumerate(sheets)}
     for other, left in found.left:
         spent[id(other)] |= set(left.columns)
     if found.points is not None:

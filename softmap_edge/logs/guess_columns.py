@@ -1,7 +1,8 @@
-"""What the columns of a log look like, by their names and numbers: time, commands, encoders, markers, labels, units.
+"""What the columns of a log look like, by their names and numbers: commands, encoders, markers, labels, units.
 
 Only the rules that a laboratory's habits give: `x1, y1, z1` are a point; `u3`, `cmd_2` or `servo_4_mm` are commands;
-`phi2` or `present_1` are encoders; an even rise is time. Every answer carries the reason that is shown to the user.
+`phi2` or `present_1` are encoders. Every answer carries the reason that is shown to the user. `guess_time.py` finds
+the time.
 """
 
 from __future__ import annotations
@@ -15,12 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.errors import RunError
-from softmap_edge.logs.mapping import LENGTH, TIME, UNITS
+from softmap_edge.logs.mapping import LENGTH, UNITS
 from softmap_edge.logs.plausible import ROBOT
 from softmap_edge.logs.readers.arrays import ArrayColumns
 from softmap_edge.logs.readers.columns import Columns, HeldColumns
 from softmap_edge.logs.readers.kinds import RECORDINGS
 from softmap_edge.logs.readers.mcap_file import Topic
+from softmap_edge.logs.readers.paced import PacedColumns
 from softmap_edge.logs.readers.parquet_log import EPISODE, open_parquet
 from softmap_edge.logs.readers.text import TextColumns
 from softmap_edge.logs.sources import Part, called, groups_of, open_recording, parts_of, pattern_of, topics_of
@@ -31,7 +33,6 @@ Array = NDArray[np.float64]
 ROWS = 20_000  # of each log that are looked at
 MOST_COLUMNS = 4096  # of each log: names are compared by pairs
 _MOST_LENGTHS = 16  # tables of different lengths of one file of arrays
-_COUNTERS = re.compile(r"^(id|frame#?|index|idx|sample|row|count(er)?|nr|no|n|#|)$", re.IGNORECASE)
 _TIMES = re.compile(r"^t$|time|stamp|clock|^sec|^t_|_t$", re.IGNORECASE)
 _JOINTS = re.compile(r"joint_?states?", re.IGNORECASE)  # a topic, a column or a type of message
 _LABELS = re.compile(r"block|label|segment|trial|phase|pattern|part|condition|experiment", re.IGNORECASE)
@@ -69,6 +70,7 @@ class Sheet:
     file: str = ""  # what `file` in a mapping says of it
     indexed: bool = False  # brackets at the end of a name hold the number or name of an element
     episode: int | None = None  # of a dataset
+    clocks: dict[str, str] = field(default_factory=dict)  # columns of dates or times, in s, and their form
 
     def column(self, name: str) -> Array:
         """Return the numbers of a column."""
@@ -123,11 +125,8 @@ def _sheets_of_recording(group: list[Part]) -> list[Sheet]:
         held = open_recording(group, name, ROWS)
         cells = held.read(list(range(len(held.names))), None, ROWS)
         numbers = np.where(np.abs(cells.numbers) < LARGEST, cells.numbers, np.nan)
-        sheets.append(
-            Sheet(
-                path, name, held.names, {}, numbers, {}, file=pattern_of(group), indexed=True, kind=recorded[name].type
-            )
-        )
+        kind, file = recorded[name].type, pattern_of(group)
+        sheets.append(Sheet(path, name, held.names, {}, numbers, {}, kind=kind, file=file, indexed=True))
     return sheets
 
 
@@ -154,8 +153,10 @@ def _sheet(part: Part, columns: Columns, which: list[int]) -> Sheet:
         columns = replace(columns, names=_unique(columns.names))
     names = [columns.names[k] for k in which]
     texts: dict[str, list[str]] = {}
-    if isinstance(columns, TextColumns):
+    clocks: dict[str, str] = {}
+    if isinstance(columns, TextColumns | PacedColumns):
         texts = columns.texts(200)
+        clocks = {columns.names[k]: clock.form for k, clock in columns.clocks.items()}
     if isinstance(columns, ArrayColumns):
         texts = {columns.names[k]: columns.texts[k][:200] for k in which if k in columns.texts}
     places = [k for k in which if columns.names[k] not in texts]
@@ -169,7 +170,7 @@ def _sheet(part: Part, columns: Columns, which: list[int]) -> Sheet:
     file = pattern_of([part])
     return Sheet(
         part.given, None, names, dict(columns.units), numbers, texts, header, bare, file=file, indexed=arrays,
-        episode=episode,
+        episode=episode, clocks=clocks,
     )  # fmt: skip
 
 
@@ -179,60 +180,11 @@ def _unique(names: list[str]) -> list[str]:
     return [f"{name} (column {k})" if count[name] > 1 else name for k, name in enumerate(names)]
 
 
-# --- time ----------------------------------------------------------------------------------
-def time_of(sheet: Sheet) -> tuple[str | None, str, str]:
-    """Return the column of time, its unit (`rows` for a counter), and why."""
-    rising = []
-    for name in sheet.names:
-        values = sheet.column(name)
-        known = values[np.isfinite(values)]
-        if len(known) > 1 and (np.diff(known) >= 0).mean() > 0.999 and known[-1] > known[0]:
-            rising.append(name)
-    for pattern in (_TIMES, _COUNTERS):
-        for name in rising:
-            bare = re.sub(r"[\[(].*?[\])]", "", _last(sheet, name)).strip()
-            if pattern.search(bare):
-                unit, why = _time_unit(sheet, name)
-                return name, unit, f"'{name}' rises throughout; {why}"
-    if rising and rising[0] == sheet.names[0] and (not sheet.header or _even(sheet.column(rising[0]))):
-        unit, why = _time_unit(sheet, rising[0])
-        called = f" '{rising[0]}'" if sheet.header else ""
-        return rising[0], unit, f"the first column{called} rises throughout; {why}"
-    return None, "rows", "no column tells time"
-
-
-def _last(sheet: Sheet, name: str) -> str:
+# --- names ---------------------------------------------------------------------------------
+def last_of(sheet: Sheet, name: str) -> str:
     """Return the last word of the path of an array: `u[0]` of `log.signal.u[0]`; another name as it is."""
     found = re.fullmatch(r".*?([^.\[\]]+(\[[^\]]*\])*(\.[xyz])?)", name)
     return found[1] if found and sheet.indexed and sheet.topic is None else name
-
-
-def _even(values: Array) -> bool:
-    """Whether numbers rise by nearly the same step from row to row, as a clock does under whatever name."""
-    step = np.diff(values[np.isfinite(values)])
-    usual = float(np.median(step))
-    return usual > 0 and bool((np.abs(step - usual) < 0.5 * usual).mean() > 0.9)
-
-
-def _time_unit(sheet: Sheet, name: str) -> tuple[str, str]:
-    values = sheet.column(name)
-    values = values[np.isfinite(values)]
-    step = np.diff(values)
-    step = step[step > 0]
-    usual = float(np.median(step))
-    stated = sheet.units.get(name) or unit_in_name(name, TIME)
-    if stated in TIME:
-        return stated, f"its unit {stated} is stated"
-    largest = float(np.abs(values).max())
-    for limit, unit in ((1e17, "ns"), (1e14, "us"), (1e11, "ms"), (1e8, "s")):
-        if largest > limit and usual * TIME[unit] < 1000.0:
-            return unit, f"it counts {unit} since 1970"
-    if (values == np.rint(values)).all() and usual == 1.0:
-        return "rows", "it counts rows"
-    for unit in ("s", "ms", "us", "ns"):
-        if 2e-4 <= usual * TIME[unit] < 5.0:
-            return unit, f"rows {usual:.4g} apart look like {unit}"
-    return "s", "its unit is not known and taken as s"
 
 
 def unit_in_name(name: str, known: dict[str, float] | dict[str, str]) -> str | None:
@@ -276,7 +228,7 @@ def _elements(sheet: Sheet, used: set[str]) -> list[list[str]]:
             arrays.setdefault(found[1], []).append(name)
     triples: list[list[str]] = []
     for stem, names in arrays.items():
-        last = _last(sheet, stem)
+        last = last_of(sheet, stem)
         free = len(names) == 3 and not any(re.search(words, f"{last.lower()}#") for _, words in ROLES)
         if len(names) % 3 == 0 and (free or _PLACES.search(last)):
             triples += [names[k : k + 3] for k in range(0, len(names), 3)]
@@ -313,7 +265,7 @@ def roles_of(sheet: Sheet, spent: set[str]) -> list[Role]:
         bare = stem.replace("[#]", "#")
         if re.search(r"veloc|effort|accel", bare):
             continue
-        last = _last(sheet, bare)
+        last = last_of(sheet, bare)
         where = [(last, f"called '{names[0]}'" + ("" if len(names) == 1 else f" to '{names[-1]}'"))]
         if last != bare:
             where.append((bare, where[0][1]))
@@ -386,6 +338,8 @@ def drive_unit(rows: Array, stated: str | None, joint: bool = False) -> tuple[st
 def label_of(sheet: Sheet) -> str | None:
     """Return the column that says which part of the protocol a row belongs to."""
     for name, texts in sheet.texts.items():
+        if not sheet.header or "frame" in name.lower():  # the name of a coordinate frame
+            continue
         if len(set(texts)) <= max(3, len(texts) // 2) and any(texts) and not _TIMES.search(name):
             return name
     for name in sheet.names:

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from softmap_edge import _core
 from softmap_edge.errors import RunError
+from softmap_edge.logs.clock import corrected
 from softmap_edge.logs.frames import choose_frames, seen
 from softmap_edge.logs.held import unhold
 from softmap_edge.logs.mapping import ANGLE, LENGTH, Mapping, Quantity, read_mapping
@@ -70,6 +71,7 @@ def import_logs(paths: Sequence[str | os.PathLike[str]], mapping: Mapping) -> Im
     damage = tuple(dict.fromkeys(note for table in tables for note in table.notes if isinstance(note, Damage)))
     for one, table in zip(logs, tables):
         notes += [f"{one.label}: {note}" for note in table.notes if not isinstance(note, Damage)]
+        doubts += [f"{one.label}: {doubt}" for doubt in table.doubts]
     fields: dict[str, Any] = _timeless(mapping, notes)
     if not fields:
         doubts += [f"{one.label}: {doubt}" for one, table in zip(logs, tables) for doubt in doubts_of_time(table.t)]
@@ -83,6 +85,7 @@ def import_logs(paths: Sequence[str | os.PathLike[str]], mapping: Mapping) -> Im
     del tables  # of a long log, half of the memory
     t, fields = _resample_commands(t, fields, mapping, notes)
     if t_seen is not None:
+        t_seen = _frames_clock(t, t_seen, mapping, notes)
         _rest(t_seen, fields, mapping, notes)
         t_seen = choose_frames(t, t_seen, fields, mapping, notes)
         fields["t_seen"] = t_seen
@@ -247,6 +250,18 @@ def _resample_commands(
             fields[name] = rows if column.ndim == 2 else rows[:, 0]
     notes.append(f"commands resampled from {len(t)} rows to {len(regular)} at {mapping.command_rate_hz:g} Hz")
     return regular, fields
+
+
+def _frames_clock(t: Array, t_seen: Array, mapping: Mapping, notes: list[str]) -> Array:
+    """The times of the frames on the clock of the commands, where the mapping states how theirs differs."""
+    if mapping.fast_ppm == 0.0 and mapping.clock_step is None:
+        return t_seen
+    start, step = float(t[0]), mapping.clock_step
+    if step is not None and mapping.zero_time:  # `check` counts from the first command
+        step = (step[0] + start, step[1])
+    moved = corrected(t_seen, start, mapping.fast_ppm, step)
+    notes.append(f"the clock of the frames is corrected by up to {float(np.abs(moved - t_seen).max()):.4g} s")
+    return moved
 
 
 def _rest(t_seen: Array, fields: dict[str, Any], mapping: Mapping, notes: list[str]) -> None:

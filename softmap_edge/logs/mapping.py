@@ -18,17 +18,19 @@ from numpy.typing import NDArray
 
 from softmap_edge.errors import RunError, brief
 from softmap_edge.logs.measured import Column, Measured, columns_of, measured_of, not_seen_of, per_column
+from softmap_edge.logs.time_keys import NO_TIME as NO_TIME
+from softmap_edge.logs.time_keys import ROW_S as ROW_S
+from softmap_edge.logs.time_keys import TIME as TIME
+from softmap_edge.logs.time_keys import Clock as Clock
+from softmap_edge.logs.time_keys import clock_of
 from softmap_edge.toml_table import TomlTable, shown
 
 Array = NDArray[np.float64]
 
 SCHEMA = "softmap.mapping/1"
 POINTS = ("markers", "base")
-NO_TIME = "none"  # the `time` of a log without time: its rows are counted
-ROW_S = 0.05  # s for each row of such a log: the rate at which a model is learned, so that no row is left out
 FILE = "file"  # the unit that the file itself states; mm where it states none
 LENGTH = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "um": 1e-3}  # → mm
-TIME = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0}  # → s
 ANGLE = ("deg", "rad")
 UNITS: dict[str, tuple[str, ...]] = {
     "command": (*LENGTH, *ANGLE, "ticks"),
@@ -61,17 +63,6 @@ class Quantity:
 
 
 @dataclass(frozen=True)
-class Clock:
-    """The time of a log: a column in a unit, a counter at a rate, the row number at a rate, or none."""
-
-    column: Column | None
-    seconds: float
-    offset_s: float = 0.0
-    repeated: str = "refuse"
-    timeless: bool = False
-
-
-@dataclass(frozen=True)
 class Log:
     """One file of the logs, or one topic of a file."""
 
@@ -89,6 +80,8 @@ class Log:
     block: Column | None
     output: Measured | None = None
     episode: int | None = None
+    from_row: int = 0  # rows of the log that are read, counted from 0
+    to_row: int | None = None
 
 
 @dataclass(frozen=True)
@@ -113,6 +106,8 @@ class Mapping:
     marker_rest_s: tuple[float, float] | None = None
     load_g: tuple[tuple[str, float], ...] = ()
     declare_load: bool = True
+    fast_ppm: float = 0.0  # by how much the clock of the frames runs fast against that of the commands
+    clock_step: tuple[float, float] | None = None  # s: when the clock of the frames is set, and by how much
 
     def to_base(self, points: Array) -> Array:
         """Return points (..., 3) mm of the log's frame in the base frame: shifted, then axes turned."""
@@ -191,10 +186,17 @@ def _mapping(path: Path, top: TomlTable) -> Mapping:
         marker_rest_s=_stretch(constant),
         load_g=_loads(constant),
         declare_load=bool(constant.get("declare_load", (bool,), True)),
+        fast_ppm=seen.number("fast_ppm", 0.0, -1e5, 1e5) or 0.0,
+        clock_step=_step(seen),
     )
     for table in (frame, commands, seen, blocks, constant, top):
         table.done()
     return mapping
+
+
+def _step(seen: TomlTable) -> tuple[float, float] | None:
+    step = seen.numbers("clock_step", (2,))
+    return None if step is None else (float(step[0]), float(step[1]))
 
 
 def _stretch(constant: TomlTable) -> tuple[float, float] | None:
@@ -234,31 +236,8 @@ def _axes(frame: TomlTable) -> tuple[tuple[int, int], ...]:
     return axes
 
 
-def _clock(table: TomlTable) -> Clock:
-    if table.values.get("time") == NO_TIME:
-        table.get("time", (str,))
-        return Clock(None, ROW_S, timeless=True)
-    time = table.table("time")
-    column = _column(time, "column")
-    rate = time.number("rate_hz", None, 1e-6, 1e7)
-    if column is None and rate is None:
-        raise RunError(
-            f"{time.where}: needs `column`, `rate_hz`, or both (a counter); say how the log tells time, or "
-            f'time = "{NO_TIME}" if it does not'
-        )
-    unit = time.choice("unit", tuple(TIME), "s")
-    clock = Clock(
-        column=column,
-        seconds=TIME[unit] if rate is None else 1.0 / rate,
-        offset_s=time.number("offset_s", 0.0) or 0.0,
-        repeated=time.choice("repeated", ("refuse", "drop", "spread"), "refuse"),
-    )
-    time.done()
-    return clock
-
-
 def _log(table: TomlTable, command_unit: str) -> Log:
-    clock = _clock(table)
+    clock = clock_of(table)
     rows = {name: _quantity(table, name, command_unit) for name in UNITS if name in table.values}
     markers, base = (rows.pop(name, None) for name in POINTS)
     delimiter = table.get("delimiter", (str,))
@@ -279,6 +258,8 @@ def _log(table: TomlTable, command_unit: str) -> Log:
         block=_column(table, "block"),
         output=measured_of(table),
         episode=table.whole("episode", None, 0, 10**9),
+        from_row=table.whole("from_row", 0, 0, 10**9) or 0,
+        to_row=table.whole("to_row", None, 0, 10**9),
     )
     if log.decimal == "," and log.delimiter == ",":
         raise RunError(f"{table.where}: comma is both delimiter and decimal; the file cannot be read so")

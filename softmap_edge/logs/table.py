@@ -7,6 +7,7 @@ to do; missing rows are counted where the log has a regular clock.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -15,8 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.errors import RunError
+from softmap_edge.logs.clock import kept, times_of
 from softmap_edge.logs.mapping import Clock, Log
 from softmap_edge.logs.measured import Column
+from softmap_edge.logs.readers.cells import find_delimiter
 from softmap_edge.logs.readers.columns import Array, Cells, Columns
 from softmap_edge.logs.readers.kinds import ARRAYS, kind_of
 from softmap_edge.logs.readers.matlab_file import open_hdf5, open_matlab
@@ -24,12 +27,20 @@ from softmap_edge.logs.readers.mocap import open_motive, open_trc
 from softmap_edge.logs.readers.npz_log import open_npz
 from softmap_edge.logs.readers.parquet_log import open_parquet
 from softmap_edge.logs.readers.rosbag_sqlite import open_db3
-from softmap_edge.logs.readers.text import TextColumns, find_delimiter, open_text
-from softmap_edge.time_text import differing
+from softmap_edge.logs.readers.text import TextColumns, open_text
+from softmap_edge.logs.readers.typed_rows import open_typed
+from softmap_edge.logs.readers.vendor_text import open_lvm, open_nexus, open_qtm
+from softmap_edge.logs.time_text import DAY
 
+_VENDORS: dict[str, Callable[[Path], Columns]] = {
+    "trc": open_trc,
+    "motive": open_motive,
+    "qtm": open_qtm,
+    "nexus": open_nexus,
+    "typed": open_typed,
+}
 LARGEST = 1e20  # of any cell, whatever its unit: times in nanoseconds since 1970 are 2e18
 _TOLD = 6  # columns that are named
-_REGULAR = 0.2  # of the usual step: what a clock with jitter stays within
 
 
 @dataclass(frozen=True)
@@ -43,6 +54,7 @@ class LogTable:
     values: dict[int, Array]
     labels: NDArray[Any] | None
     notes: tuple[str, ...]
+    doubts: tuple[str, ...] = ()
 
     def numbers(self, columns: tuple[Column, ...]) -> Array:
         """Return (rows, len(columns)); absent cells are NaN."""
@@ -86,11 +98,14 @@ def open_log(path: Path, log: Log | None = None) -> Columns:
         return open_parquet(path) if log is None else open_parquet(path, log.episode)
     if kind in ARRAYS:
         return {"mat": open_matlab, "hdf5": open_hdf5}.get(kind, open_npz)(path)
-    if kind in ("trc", "motive"):
-        return open_trc(path) if kind == "trc" else open_motive(path)
+    if kind in _VENDORS and not (log is not None and (log.skip_rows or not log.header)):
+        return _VENDORS[kind](path)
     skip_rows, skip_last, header = (0, 0, None) if log is None else (log.skip_rows, log.skip_last_rows, log.header)
     delimiter, decimal = (None, None) if log is None else (log.delimiter, log.decimal)
-    return open_text(path, delimiter, decimal, header, skip_rows, skip_last)
+    order = None if log is None else log.clock.date_order
+    if kind == "lvm" and not skip_rows:
+        return open_lvm(path, header, order)
+    return open_text(path, delimiter, decimal, header, skip_rows, skip_last, order)
 
 
 def read_log(path: Path, log: Log, columns: Columns | None = None) -> LogTable:
@@ -109,19 +124,47 @@ def read_log(path: Path, log: Log, columns: Columns | None = None) -> LogTable:
     wanted: list[Column] = [column for quantity in log.rows.values() for column in quantity.columns]
     wanted += [column for points in (log.markers, log.base) if points is not None for column in points.columns]
     wanted += [] if log.output is None else log.output.columns
-    wanted += [] if log.clock.column is None else [log.clock.column]
+    wanted += log.clock.columns
     _all_there(path, names, [*wanted, *([] if log.block is None else [log.block])], log.delimiter)
     places = sorted({place(path, names, column) for column in wanted})
     cells = columns.read(places, None if log.block is None else place(path, names, log.block))
-    if log.clock.column is not None and isinstance(columns, TextColumns):
-        columns.refuse_words(place(path, names, log.clock.column))
-    cells = _finite(cells, places, names)
+    clocks = [place(path, names, column) for column in log.clock.columns]
+    if isinstance(columns, TextColumns):
+        for clock in clocks:
+            columns.refuse_words(clock)
+    cells = _finite(_cut(path, cells, log), places, names)
     _within_reason(path, columns.where, cells, places, names)
-    clock = None if log.clock.column is None else places.index(place(path, names, log.clock.column))
-    cells, aside = _set_aside(columns.where, cells, clock)
-    t, cells, notes = _clock(path, columns.where, cells, clock, log.clock)
-    values = dict(zip(places, cells.numbers.T))
-    return LogTable(path, t, names, columns.units, values, cells.labels, (*cells.notes, *aside, *notes))
+    cells, aside = _set_aside(columns.where, cells, [places.index(clock) for clock in clocks])
+    times = times_of(path, columns.where, cells, _raw_times(path, columns, cells, places, log.clock), log.clock)
+    values = dict(zip(places, times.cells.numbers.T))
+    doubts = (*times.doubts, *_assumed(log.clock, len(times.t)))
+    notes = (*cells.notes, *aside, *times.notes)
+    return LogTable(path, times.t, names, columns.units, values, times.cells.labels, notes, doubts)
+
+
+def _cut(path: Path, cells: Cells, log: Log) -> Cells:
+    """The rows from `from_row` to `to_row`."""
+    if log.from_row == 0 and log.to_row is None:
+        return cells
+    row, last = np.arange(len(cells.numbers)), len(cells.numbers) - 1
+    chosen = (row >= log.from_row) & (row <= (last if log.to_row is None else log.to_row))
+    if not chosen.any():
+        raise RunError(
+            f"{path}: from_row = {log.from_row}, to_row = {log.to_row}: no row is left; the log has rows 0 to {last}"
+        )
+    note = f"{int(chosen.sum())} of {len(chosen)} rows, {log.from_row} to {int(row[chosen][-1])}, as the mapping asks"
+    return replace(kept(cells, chosen), notes=(*cells.notes, note))
+
+
+def _assumed(clock: Clock, rows: int) -> tuple[str, ...]:
+    """Say that times come from a rate that is not confirmed."""
+    if not clock.assumed:
+        return ()
+    what = "the number of the row" if clock.column is None else f"'{clock.column}'"
+    return (
+        f"t: the times of {rows} rows are {what} at {1.0 / clock.seconds:g} Hz, a rate that is assumed: put the rate "
+        'of the log into the mapping and remove `assumed`, or declare time = "none"',
+    )
 
 
 def place(path: Path, names: list[str], column: Column) -> int:
@@ -176,108 +219,40 @@ def _within_reason(path: Path, where: str, cells: Cells, places: list[int], name
             )
 
 
-# --- time ----------------------------------------------------------------------------------
-def _set_aside(where: str, cells: Cells, clock: int | None) -> tuple[Cells, list[str]]:
+def _set_aside(where: str, cells: Cells, clocks: list[int]) -> tuple[Cells, list[str]]:
     """Leave out rows that hold a time and nothing else that the mapping names: those of another publisher or device.
 
     Messages always; rows of other logs where time does not rise with them.
     """
-    rest = np.delete(cells.numbers, [] if clock is None else [clock], axis=1)
+    rest = np.delete(cells.numbers, clocks, axis=1)
     bare = np.asarray(np.isnan(rest).all(axis=1))
-    if clock is None or not bare.any() or bare.all():
+    if not clocks or not bare.any() or bare.all():
         return cells, []
-    t = cells.numbers[:, clock]
+    t = cells.numbers[:, clocks[0]]
     bare &= np.isfinite(t)
     if where != "message" and (np.diff(t[np.isfinite(t)]) > 0).all():
         return cells, []
     what = "messages" if where == "message" else "rows"
     note = f"{int(bare.sum())} of {len(bare)} {what} hold none of the columns that the mapping names and were left out"
-    return _kept(cells, ~bare), [note]
+    return kept(cells, ~bare), [note]
 
 
-def _clock(path: Path, where: str, cells: Cells, column: int | None, clock: Clock) -> tuple[Array, Cells, list[str]]:
-    """The time of the rows in s, the rows that have one, and what was odd."""
-    notes: list[str] = []
-    count = np.arange(len(cells.numbers), dtype=float) if column is None else cells.numbers[:, column]
-    t = count * clock.seconds + clock.offset_s
-    empty = ~np.isfinite(t)
-    if empty.any():
-        if not np.isnan(cells.numbers[empty]).all():
-            row = int(np.argmax(empty & np.isfinite(cells.numbers).any(axis=1)))
-            raise RunError(f"{path}: {where} {cells.lines[row]}: the time is empty or not a number; remove the line")
-        notes.append(f"{int(empty.sum())} empty rows were left out")
-        t, cells = t[~empty], _kept(cells, ~empty)
-    if len(t) == 0:
-        raise RunError(f"{path}: holds no rows; give a log that holds data")
-    same = np.r_[False, np.diff(t) == 0]
-    if same.any():
-        at = np.flatnonzero(same)
-        again = np.zeros(len(t), bool)
-        before, after = cells.numbers[at - 1], cells.numbers[at]
-        again[at] = ((before == after) | (np.isnan(before) & np.isnan(after))).all(axis=1)
-        if cells.labels is not None:
-            again[at] &= cells.labels[at - 1] == cells.labels[at]
-        if again.any():
-            notes.append(f"{int(again.sum())} rows that repeat the row before, time and all, were left out")
-            t, cells = t[~again], _kept(cells, ~again)
-    if clock.repeated == "drop" and len(t) > 1:
-        fresh = np.r_[True, t[1:] > np.maximum.accumulate(t)[:-1]]
-        if not fresh.all():
-            notes.append(f"{int((~fresh).sum())} rows whose time does not increase were dropped")
-            t, cells = t[fresh], _kept(cells, fresh)
-    _increasing(path, where, t, cells, spread=clock.repeated == "spread")
-    if clock.repeated == "spread" and (np.diff(t) == 0).any():
-        notes.append(f"{int((np.diff(t) == 0).sum())} rows share a time with the row before and were spread evenly")
-        t = _spread(t)
-    return t, cells, [*notes, *_gaps(where, t, cells)]
-
-
-def _kept(cells: Cells, keep: NDArray[np.bool_]) -> Cells:
-    labels = None if cells.labels is None else cells.labels[keep]
-    return replace(cells, numbers=cells.numbers[keep], labels=labels, lines=cells.lines[keep])
-
-
-def _increasing(path: Path, where: str, t: Array, cells: Cells, spread: bool) -> None:
-    step = np.diff(t)
-    late = step < 0 if spread else step <= 0
-    if not late.any():
-        return
-    row = int(np.argmax(late)) + 1
-    back = step[row - 1] < 0
-    now, before = differing(t[row], t[row - 1])
-    remedy = 'set time.repeated = "drop" to leave such rows out'
-    if not back:
-        remedy += ', or "spread" to place rows of one time evenly up to the next'
-    raise RunError(
-        f"{path}: time {'goes backwards' if back else 'stands still'} at row {row} ({where} {cells.lines[row]}: "
-        f"{now} s after {before} s), {int(late.sum())} such rows; {remedy}"
-    )
-
-
-def _spread(t: Array) -> Array:
-    """Rows of one time, evenly from it to the next time; the last ones at the usual step."""
-    first = np.flatnonzero(np.r_[True, np.diff(t) > 0])
-    count = np.diff(np.r_[first, len(t)])
-    width = np.diff(t[first])
-    usual = float(np.median(width / count[:-1])) if len(width) else 1.0
-    step = np.r_[width / count[:-1], usual]
-    within = np.arange(len(t)) - np.repeat(first, count)
-    return np.asarray(np.repeat(t[first], count) + within * np.repeat(step, count))
-
-
-def _gaps(where: str, t: Array, cells: Cells) -> list[str]:
-    """Rows that a regular clock should have had."""
-    step = np.diff(t)
-    if len(step) < 10:
-        return []
-    usual = float(np.median(step))
-    if (np.abs(step - usual) <= _REGULAR * usual).mean() < 0.9:
-        return []
-    gaps = step > 1.5 * usual
-    if not gaps.any():
-        return []
-    missing, row = int(np.rint(step[gaps] / usual - 1).sum()), int(np.argmax(step))
-    return [
-        f"{missing} rows are missing in {int(gaps.sum())} gaps, the longest {step[row]:.3g} s after {where} "
-        f"{cells.lines[row]} (usual step {usual:.3g} s); nothing is made up for them"
-    ]
+def _raw_times(path: Path, columns: Columns, cells: Cells, places: list[int], clock: Clock) -> Array:
+    """The times (rows,) s as the log has them; NaN where it has none."""
+    if clock.column is None:
+        return np.arange(len(cells.numbers), dtype=float) * clock.seconds + clock.offset_s
+    texts: dict[int, Any] = getattr(columns, "clocks", {})
+    t = np.full(len(cells.numbers), clock.offset_s)
+    dated = False
+    for column, seconds in [(clock.column, clock.seconds), *clock.more]:
+        at = place(path, columns.names, column)
+        part = cells.numbers[:, places.index(at)]
+        if at in texts:
+            if column == clock.column and seconds != 1.0:
+                raise RunError(
+                    f"{path}: {columns.names[at]} holds dates or times; leave unit and rate_hz out of `time`"
+                )
+            part = np.mod(part, DAY) if dated and texts[at].form == "day" else part
+            dated, seconds = True, 1.0
+        t = t + part * seconds
+    return t

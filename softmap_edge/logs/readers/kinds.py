@@ -14,6 +14,8 @@ from softmap_edge.logs.readers.mcap_file import MAGIC
 from softmap_edge.logs.readers.mocap import is_motive, is_trc
 from softmap_edge.logs.readers.packed import GZIP, ZSTD
 from softmap_edge.logs.readers.rosbag_sqlite import MAGIC as SQLITE
+from softmap_edge.logs.readers.typed_rows import is_typed
+from softmap_edge.logs.readers.vendor_text import is_lvm, is_nexus, is_qtm
 
 RECORDINGS = ("mcap", "db3")  # several topics, stamped with the time of recording
 ARRAYS = ("npz", "npy", "mat", "hdf5", "parquet")
@@ -31,6 +33,7 @@ _READ: tuple[tuple[bytes, str], ...] = (
     (b"PAR1", "parquet"),
 )
 _READ += ((ZSTD, "zstd"), (GZIP, "gzip"), (b"MATLAB 5.0 MAT-file", "mat"), (b"MATLAB 7.3 MAT-file", "hdf5"))
+_TEXTS = {"trc": is_trc, "motive": is_motive, "qtm": is_qtm, "nexus": is_nexus, "lvm": is_lvm, "typed": is_typed}
 _CONVERT_BAG = "`rosbags-convert --src {file} --dst FOLDER` (pip install rosbags)"
 _BAG = f"a ROS 1 bag: convert it with {_CONVERT_BAG}"
 _SHEET = "save the sheet as CSV"
@@ -69,7 +72,7 @@ def kind_of(path: Path) -> str:
     """Return the format of a log.
 
     Returns:
-        One of c3d, mcap, db3, npz, npy, mat, hdf5, parquet, zstd, gzip, trc, motive and csv.
+        One of c3d, mcap, db3, npz, npy, mat, hdf5, parquet, zstd, gzip, trc, motive, qtm, nexus, lvm, typed and csv.
 
     Raises:
         RunError: it cannot be read, or is of a format that is not read here.
@@ -94,7 +97,7 @@ def kind_of(path: Path) -> str:
         return ending
     text = start.removeprefix(b"\xef\xbb\xbf").decode("latin-1")
     _refuse_calibration(path, text)
-    return "trc" if is_trc(text) else "motive" if is_motive(text) else "csv"
+    return next((kind for kind, begins in _TEXTS.items() if begins(text)), "csv")
 
 
 def _refuse_foreign(path: Path, start: bytes) -> None:

@@ -1,16 +1,17 @@
 """Reads a delimited text log (CSV and its cousins) block by block; what cannot be read is named with its line.
 
-Found by itself: the delimiter, comments above the header, a header that is a comment (as numpy writes it), a line of
-units below it, decimal commas, blank lines. Each block of lines goes through numpy's compiled reader, with empty cells
-as NaN; only where that stumbles are its lines read one by one, to say where. So a million rows of 16 columns need
-seconds and little more memory than their numbers (tests/test_import_csv.py, `python -m benches.import_rows`).
+Found by itself: where the table begins (`header.py`), its delimiter, a header that is a comment (as numpy writes it), a
+line of units, decimal commas, blank lines, empty cells at the end of rows, dates and times (`time_text.py`). Each block
+of lines goes through numpy's compiled reader, with empty cells as NaN; only where that stumbles are its lines read one
+by one, to say where. So a million rows of 16 columns need seconds and little more memory than their numbers
+(tests/test_import_csv.py, `python -m benches.import_rows`).
 """
 
 from __future__ import annotations
 
 import csv
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -18,18 +19,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.errors import RunError
-from softmap_edge.logs.mapping import ANGLE, LENGTH, TIME
+from softmap_edge.logs.readers.cells import find_delimiter, is_number, split
 from softmap_edge.logs.readers.columns import Array, Cells
+from softmap_edge.logs.readers.header import LINES, Table, find_table, widths_of
 from softmap_edge.logs.readers.words import EMPTY, Words, is_text, is_word
+from softmap_edge.logs.time_text import TimeText, TimeTextError, time_text_of
+
+__all__ = ["LIMIT", "LONGEST", "TextColumns", "find_delimiter", "first_lines", "is_number", "open_text", "split"]
 
 LIMIT = 2**30  # bytes of one log: about 5 million rows of 16 columns
 LONGEST = 2**20  # characters of one line: 50 000 columns
 _BLOCK = 2**22  # characters read at a time
-_HEAD = 1000  # lines in which a header must be
-_COMMA_NUMBER = re.compile(r"[+-]?\d+(,\d+)?([eE][+-]?\d+)?")
-_DELIMITERS = (",", ";", "\t", "|")
-_OTHERS = ("", "-", "°", "°c", "degrees", "radians", "n", "ma", "a", "g", "kg")
-_UNITS = {*LENGTH, *TIME, *ANGLE, *_OTHERS}  # what a line of units holds
+_FIRST = 200  # rows whose text decides what a column holds
 
 
 @dataclass(frozen=True)
@@ -46,41 +47,66 @@ class TextColumns:
     notes: tuple[str, ...] = ()
     where: str = "line"
     header: bool = True
+    fewest: int | None = None  # cells of a full row whose last cells are left out; as many as names where None
+    stop: int | None = None  # the line number after the last row; None: the end of the file
+    clocks: dict[int, TimeText] = field(default_factory=dict)  # columns of dates or times, read as s
     words: Words = field(default_factory=Words)  # of the last reading
 
     def texts(self, rows: int) -> dict[str, list[str]]:
-        """Return the columns that hold text in the first rows, with that text."""
-        lines = [line for line in first_lines(self.path, rows, self.first) if line.strip()]
-        cells = [row for line in lines if len(row := split(line, self.delimiter)) == len(self.names)]
+        """Return the columns that hold text in the first rows, with that text; times are no text."""
         found: dict[str, list[str]] = {}
-        for name, column in zip(self.names, zip(*cells)):
+        for place, (name, column) in enumerate(zip(self.names, zip(*self._first_rows(rows)))):
+            if place in self.clocks:
+                continue
             if is_text(column, is_number):
                 found[name] = list(column)
         return found
 
+    def _first_rows(self, rows: int) -> list[list[str]]:
+        """The cells of the first rows that are full."""
+        lines = [line for line in first_lines(self.path, rows, self.first) if line.strip()]
+        cells = [split(self._fitted(line), self.delimiter) for line in lines]
+        return [row for row in cells if len(row) == len(self.names)]
+
+    def with_clocks(self, order: str | None) -> TextColumns:
+        """Return the same with its columns of dates and times known; `order` (dmy, mdy) is of dates like 5/7/2031."""
+        clocks: dict[int, TimeText] = {}
+        for place, column in enumerate(zip(*self._first_rows(_FIRST))):
+            filled = [cell for cell in column if cell.lower() not in EMPTY]
+            if not all(map(is_number, filled)) and (clock := time_text_of(filled, order)) is not None:
+                clocks[place] = clock
+        units = {self.names[place]: "s" for place in clocks}
+        return replace(self, clocks=clocks, units=self.units | units) if clocks else self
+
     def read(self, places: list[int], label: int | None = None, rows: int | None = None) -> Cells:
-        """Return the cells of some columns.
+        """Return the cells of some columns; of a column of times its seconds.
 
         Raises:
             RunError: a line has another number of cells than the header, or a cell is not a number.
         """
+        timed = [place for place in places if place in self.clocks]
+        plain = [place for place in places if place not in self.clocks]
+        asked = [*timed, *([] if label is None else [label])]
         parts: list[Array] = []
         lines: list[NDArray[np.int64]] = []
+        times: dict[int, list[Array]] = {place: [] for place in timed}
         labels: list[str] = []
         known: dict[str, str] = {}  # one object for each distinct label
         count = 0
         self.words.found.clear()
-        for first, block in _held_back(_blocks(self.path, self.first), self.skip_last):
+        for first, block in _held_back(_blocks(self.path, self.first, self.stop), self.skip_last):
             numbers = np.arange(first, first + len(block))
             if not all(map(str.strip, block)):
                 kept = [k for k, line in enumerate(block) if line.strip()]
                 numbers, block = numbers[kept], [block[k] for k in kept]
             if not block:
                 continue
-            cells, texts = self._block(block, numbers, places, label)
+            cells, texts = self._block(block, numbers, plain, asked)
             parts.append(cells)
             lines.append(numbers)
-            labels += [known.setdefault(text, text) for text in texts]
+            for place, column in zip(timed, texts):
+                times[place].append(self._times(place, column, numbers))
+            labels += [known.setdefault(text, text) for text in texts[-1]] if label is not None else []
             count += len(block)
             if rows is not None and count >= rows:
                 break
@@ -89,9 +115,9 @@ class TextColumns:
         found = np.array(labels) if label is not None else None
         at = np.concatenate(lines)
         blank = int(at[-1]) - self.first + 1 - count
-        said = (*self.notes, *((f"{blank} blank lines were left out",) if blank else ()))
-        said += self._worded(count)
-        return Cells(np.concatenate(parts), found, at, said)
+        notes = (*self.notes, *((f"{blank} blank lines were left out",) if blank else ()), *self._worded(count))
+        table, more = self._joined(np.concatenate(parts), places, {k: np.concatenate(v) for k, v in times.items()})
+        return Cells(table, found, at, (*notes, *more))
 
     def refuse_words(self, column: int) -> None:
         """Raise RunError if a column that was read, such as the time, holds a word."""
@@ -111,17 +137,59 @@ class TextColumns:
             )
         return tuple(self.words.line(self.names, rows))
 
+    def _times(self, place: int, cells: Sequence[str], lines: NDArray[np.int64]) -> Array:
+        """The seconds (rows, 2) of a column of times, in both orders of day and month."""
+        try:
+            return self.clocks[place].parse(["" if cell.lower() in EMPTY else cell for cell in cells])
+        except TimeTextError as fault:
+            line = int(lines[fault.args[1]])
+            raise RunError(
+                f"{self.path}: line {line}, column {self.names[place]}: {fault.args[0]}; correct or remove the line"
+            ) from None
+
+    def _joined(self, numbers: Array, places: list[int], times: dict[int, Array]) -> tuple[Array, list[str]]:
+        """Numbers and times in the order that was asked for, and notes on the times."""
+        if not times:
+            return numbers, []
+        table, notes = np.empty((len(numbers), len(places))), list[str]()
+        table[:, [j for j, place in enumerate(places) if place not in times]] = numbers
+        for j, place in enumerate(places):
+            if place not in times:
+                continue
+            try:
+                table[:, j], note = self.clocks[place].settle(times[place])
+            except TimeTextError as fault:
+                remedy = 'set time.date_order = "dmy" or "mdy" in the mapping'
+                raise RunError(f"{self.path}: column {self.names[place]}: {fault.args[0]}; {remedy}") from None
+            notes += [] if note is None else [f"{self.names[place]}: {note}"]
+        return table, notes
+
     def _block(
-        self, block: list[str], numbers: NDArray[np.int64], places: list[int], label: int | None
-    ) -> tuple[Array, list[str]]:
+        self, block: list[str], numbers: NDArray[np.int64], places: list[int], asked: list[int]
+    ) -> tuple[Array, list[list[str]]]:
         if self.delimiter == " ":
             block = [" ".join(line.split()) for line in block]
+        cut, mark = len(self.names) - 1, self.delimiter
+        if any(line.count(mark) != cut for line in block):
+            block = [self._fitted(line) for line in block]
         cells = self._fast(block, places) if places else np.empty((len(block), 0))
-        if cells is None or (label is not None and any('"' in line for line in block)):
-            return self._slow(block, numbers, places, label)
-        if label is None:
+        if cells is None or (asked and any('"' in line or line.count(mark) != cut for line in block)):
+            return self._slow(block, numbers, places, asked)
+        if not asked:
             return cells, []
-        return cells, [line.split(self.delimiter)[label].strip() for line in block]
+        rows = [line.split(mark) for line in block]
+        return cells, [[row[place].strip() for row in rows] for place in asked]
+
+    def _fitted(self, line: str) -> str:
+        """A line with as many cells as names, where only empty ones are too many or left out at the end."""
+        cut, mark = len(self.names) - 1, self.delimiter
+        if line.count(mark) == cut:
+            return line
+        bare = line.rstrip(mark + " \t\r")
+        fewest = len(self.names) if self.fewest is None else self.fewest
+        if '"' not in line and bare.count(mark) <= cut and line.count(mark) >= fewest - 1:
+            return bare + mark * (cut - bare.count(mark))
+        return line
 
     def _fast(self, block: list[str], places: list[int]) -> Array | None:
         """A block by numpy's compiled reader; None where it stumbles or lines differ in cells."""
@@ -144,26 +212,38 @@ class TextColumns:
         return None
 
     def _slow(
-        self, block: list[str], numbers: NDArray[np.int64], places: list[int], label: int | None
-    ) -> tuple[Array, list[str]]:
+        self, block: list[str], numbers: NDArray[np.int64], places: list[int], asked: list[int]
+    ) -> tuple[Array, list[list[str]]]:
         try:
             rows = list(csv.reader(block, delimiter=self.delimiter, skipinitialspace=True))
         except csv.Error as cause:
             raise RunError(f"{self.path}: is not a CSV log ({cause}); export it again") from cause
         if len(rows) != len(block):
             raise RunError(f"{self.path}: a quoted cell runs over several lines; export the log without quotes")
-        cells, labels = np.empty((len(rows), len(places))), list[str]()
+        cells = np.empty((len(rows), len(places)))
         for k, row in enumerate(rows):
-            if len(row) != len(self.names):
-                raise RunError(
-                    f"{self.path}: line {numbers[k]} has {len(row)} cells, expected {len(self.names)}; the file may "
-                    "be cut short: remove the line, or set skip_last_rows"
-                )
+            self._complete(row, int(numbers[k]))
             for j, column in enumerate(places):
                 cells[k, j] = self._number(row[column].strip(), int(numbers[k]), column)
-            if label is not None:
-                labels.append(row[label].strip())
-        return cells, labels
+        return cells, [[row[place].strip() for row in rows] for place in asked]
+
+    def _complete(self, row: list[str], line: int) -> None:
+        """Give a row as many cells as there are names, where only empty ones are too many or left out."""
+        full, count = len(self.names), len(row)
+        while len(row) > full and not row[-1].strip():
+            row.pop()
+        if len(row) < full and count >= (full if self.fewest is None else self.fewest):
+            row.extend([""] * (full - len(row)))
+        if len(row) != full:
+            raise RunError(f"{self.path}: line {line} has {count} cells, expected {full}; {self._misfit(count, line)}")
+
+    def _misfit(self, count: int, line: int) -> str:
+        """What to do about a line with another number of cells than there are names."""
+        if line == self.first:
+            return "if the table begins in another line, set skip_rows to the number of lines above its names"
+        if count > len(self.names):
+            return "cells of the line are not named: correct the line, or the delimiter"
+        return "the file may be cut short: remove the line, or set skip_last_rows"
 
     def _number(self, cell: str, line: int, column: int) -> float:
         if cell.lower() in EMPTY:
@@ -182,99 +262,121 @@ class TextColumns:
 
 # --- the head ------------------------------------------------------------------------------
 def open_text(
-    path: Path, delimiter: str | None, decimal: str | None, header: bool | None, skip_rows: int, skip_last: int
+    path: Path,
+    delimiter: str | None,
+    decimal: str | None,
+    header: bool | None,
+    skip_rows: int,
+    skip_last: int,
+    order: str | None = None,
 ) -> TextColumns:
-    """Find the header of a text log; what is None is found.
+    """Find the table of a text log; what is None is found.
+
+    Args:
+        path: the log.
+        delimiter: what cuts its lines.
+        decimal: `.` or `,`.
+        header: whether a line names the columns.
+        skip_rows: lines above the table that are not looked at.
+        skip_last: rows at the end that are left out.
+        order: `dmy` or `mdy` of dates such as 5/7/2031; None where the rows decide.
 
     Raises:
         RunError: the file is absent, too large, not text, empty, or has no header where one is expected.
     """
-    start = first_lines(path, _HEAD, skip_rows + 1)
-    at = comment = 0
-    while at < len(start) and (not start[at].strip() or start[at].lstrip()[0] in "#%"):
-        comment = at + 1 if start[at].strip() else comment
-        at += 1
+    start = first_lines(path, LINES, skip_rows + 1)
+    at = next((k for k, line in enumerate(start) if line.strip() and line.lstrip()[0] not in "#%"), len(start))
     if at == len(start):
         raise RunError(f"{path}: holds no lines after {skip_rows} skipped ones; give a log that holds data")
-    cut = delimiter or find_delimiter(start[at])
-    above = split(start[comment - 1].lstrip("#% \t"), cut) if comment else []
-    bare = all(is_number(cell) for cell in split(start[at], cut) if cell)  # the first line is numbers
-    named = bare and len(above) == len(split(start[at], cut)) and not all(map(is_number, above))
-    if header and bare and not named:
-        raise RunError(
-            f"{path}: has no header line (the first line is numbers); set header = false and give column numbers"
-        )
-    head = above if named else split(start[at], cut)
-    body = at if named or header is False or (header is None and bare) else at + 1
-    names = head if named or body > at else [str(k) for k in range(len(head))]
-    columns = TextColumns(path, names, skip_rows + 1 + body, cut, decimal or ".", skip_last, header=body > at or named)
-    return _below(columns, start[body : body + 20], found_decimal=decimal is None)
-
-
-def _below(columns: TextColumns, rows: list[str], found_decimal: bool) -> TextColumns:
-    """What the first rows tell: a line of units, a delimiter at the end of each line, decimal commas."""
-    cut, names = columns.delimiter, columns.names
-    first = split(rows[0], cut) if rows else []
-    texts = [cell.strip("[]()").lower() for cell in first]
-    if len(first) == len(names) and any(texts) and all(text in _UNITS for text in texts):
-        units = {name: text for name, text in zip(names, texts) if text}
-        columns = replace(columns, units=units, first=columns.first + 1, notes=("the line below the header is units",))
-        rows = rows[1:]
-        first = split(rows[0], cut) if rows else []
-    if len(first) == len(names) + 1 and not first[-1]:
-        columns = replace(columns, names=[*names, ""])
-    cells = [cell for row in rows for cell in split(row, cut)]
-    commas = [cell for cell in cells if re.fullmatch(r"[+-]?\d*,\d+([eE][+-]?\d+)?", cell)]
-    if found_decimal and cut != "," and commas and not any(re.fullmatch(r"[+-]?\d*\.\d+", cell) for cell in cells):
+    table = find_table(start, delimiter, EMPTY)
+    if table is None:  # no line of numbers: the first line is taken for names
+        cut = delimiter or find_delimiter(start[at])
+        names = split(start[at], cut)
+        table = Table(cut, names, at + 1, at, len(names), len(names))
+    if header is not False and table.names is None and (header or table.clash is not None):
+        raise RunError(f"{path}: {_no_names(start, table, skip_rows)}")
+    first, names = table.first, table.names or []
+    if header is False or table.names is None:
+        first = table.header if table.header is not None and _is_row(start[table.header], table) else table.first
+        names = [str(k) for k in range(table.width)]
+    head = start[: first if table.header is None else table.header]
+    above = sum(1 for line in head if line.strip() and line.lstrip()[0] not in "#%")
+    notes = [f"lines above the table were skipped: {above}"] if above else []
+    notes += ["the line below the header is units"] if table.units and header is not False else []
+    if table.fewest < table.width:
+        notes.append(f"rows of {table.fewest} to {table.width - 1} cells, as there are many, end in empty cells")
+    named = header is not False and table.names is not None
+    columns = TextColumns(
+        path, names, skip_rows + 1 + first, table.delimiter, decimal or ".", skip_last, notes=tuple(notes), header=named
+    )
+    columns = replace(columns, units=table.units if named else {}, fewest=min(table.fewest, len(names)))
+    if decimal is None and _decimal_commas(columns, start[first : first + 20]):
         columns = replace(columns, decimal=",", notes=(*columns.notes, "numbers have decimal commas"))
-    return columns
+    return columns.with_clocks(order)
 
 
-def split(line: str, delimiter: str) -> list[str]:
-    """Return the cells of one line, stripped; [] where it is no CSV."""
-    try:
-        if delimiter == " ":
-            line = " ".join(line.split())
-        return [cell.strip() for cell in next(csv.reader([line], delimiter=delimiter, skipinitialspace=True), [])]
-    except csv.Error:
-        return []
+def _no_names(start: list[str], table: Table, skipped: int) -> str:
+    """Why no line names the columns, and the way out."""
+    row, cut = skipped + 1 + table.first, table.delimiter
+    if table.clash is None and not any(line.strip() for line in start[: table.first]):
+        cells = [cell for cell in split(start[table.first], cut) if cell]
+        numbers = sum(map(is_number, cells))
+        return (
+            f"has no header line: line {row} looks like a row, not like names ({numbers} of {len(cells)} cells are "
+            "numbers); set header = false and give column numbers"
+        )
+    widths = widths_of(start[: table.first + 1], cut)
+    return (
+        f"no line above the table names its {table.width} columns: the first lines differ in width ({widths}), and the "
+        f"table seems to begin in line {row}: set skip_rows = {row - 1} and header = false, and give column numbers"
+    )
 
 
-def find_delimiter(line: str) -> str:
-    """Return what cuts a line into most cells; a space only where nothing else does.
-
-    Between numbers with decimal commas there are more commas than delimiters: what leaves such numbers whole, cuts.
-    """
-    for mark in (";", "\t", "|", " "):
-        cells = [cell for cell in split(line, mark) if cell] if "," in line else []
-        if len(cells) > 1 and all(_COMMA_NUMBER.fullmatch(cell) for cell in cells):
-            return mark
-    best = max(_DELIMITERS, key=line.count)
-    return best if best in line else (" " if " " in line.strip() else ",")
+def _is_row(line: str, table: Table) -> bool:
+    """Return whether a line of names holds mostly numbers."""
+    cells = [cell for cell in split(line, table.delimiter) if cell]
+    return 2 * sum(map(is_number, cells)) > len(cells)
 
 
-def is_number(cell: str) -> bool:
-    """Whether a cell is a number, with a decimal point or comma."""
-    try:
-        float(cell.replace(",", "."))
-    except ValueError:
+def _decimal_commas(columns: TextColumns, rows: list[str]) -> bool:
+    """Whether numbers of the first rows have decimal commas and none a decimal point."""
+    if columns.delimiter == ",":
         return False
-    return True
+    cells = [cell for row in rows for cell in split(row, columns.delimiter)]
+    commas = any(re.fullmatch(r"[+-]?\d*,\d+([eE][+-]?\d+)?", cell) for cell in cells)
+    return commas and not any(re.fullmatch(r"[+-]?\d*\.\d+", cell) for cell in cells)
 
 
 # --- the lines -----------------------------------------------------------------------------
 def first_lines(path: Path, count: int, first: int = 1) -> list[str]:
-    """Return at most `count` lines of a text log from line `first` on."""
+    """Return at most `count` lines of a text log from line `first` on, fewer where they are very long."""
     found: list[str] = []
     for _, lines in _blocks(path, first):
         found += lines[: count - len(found)]
-        if len(found) == count:
+        if len(found) == count or (len(found) > 8 and sum(map(len, found)) > 2 * _BLOCK):
             break
     return found
 
 
-def _blocks(path: Path, first: int) -> Iterator[tuple[int, list[str]]]:
-    """The lines from number `first` on, some thousand at a time, with the number of the first of them."""
+def lines_of(path: Path) -> Iterator[tuple[int, str]]:
+    """Yield the lines of a text log with their numbers from 1, one pass over the file."""
+    for first, lines in _blocks(path, 1):
+        yield from enumerate(lines, first)
+
+
+def lines_that(path: Path, fits: Callable[[str], bool], most: int = 100) -> list[tuple[int, str]]:
+    """Return the short lines of a text log that fit, at most `most`, with their numbers from 1."""
+    found: list[tuple[int, str]] = []
+    for number, line in lines_of(path):
+        if len(line) < 200 and fits(line):
+            found.append((number, line))
+            if len(found) == most:
+                break
+    return found
+
+
+def _blocks(path: Path, first: int, stop: int | None = None) -> Iterator[tuple[int, list[str]]]:
+    """The lines from number `first` on, to before `stop`, some thousand at a time, with the number of the first."""
     number, rest = 1, ""
     try:
         if not path.is_file():
@@ -292,8 +394,11 @@ def _blocks(path: Path, first: int) -> Iterator[tuple[int, list[str]]]:
                         f"{path}: line {number + len(lines)} is longer than {LONGEST} characters; export again"
                     )
                 if number + len(lines) > first:
-                    yield max(number, first), lines[max(first - number, 0) :]
+                    end = len(lines) if stop is None else max(stop - number, 0)
+                    yield max(number, first), lines[max(first - number, 0) : end]
                 number += len(lines)
+                if stop is not None and number >= stop:
+                    return
     except OSError as cause:
         raise RunError(f"{path}: cannot be read ({cause.strerror or cause}); give the path of a log") from cause
     except UnicodeDecodeError as cause:

@@ -1,0 +1,333 @@
+"""Compares the clock of the frames with that of the commands: a rate that differs, or a step, from the motion alone.
+
+    y(t) = W φ(t − d(t)) + e        d(t) = a,  a + b (t − t₀),  or  a + s [t ≥ t₁]
+
+φ are a polynomial of the commands, play and lag of several sizes, and gains and places that change linearly with
+time: what the robot remembers, and how it drifts, is no delay. Blocks of time have a delay each, fitted together with
+W: with M = 1 − φ(φᵀφ)⁻¹φᵀ and G the slopes of each block, H δ = −Gᵀ M e, H = Gᵀ M G. Line and step are fitted to the
+blocks in the metric H, and the scatter of the blocks gives the uncertainty, so slow changes of the robot widen it.
+What play and lag explain as well is not taken for a clock (`SEPARATE`): a step where the speed of the moves changes.
+b is the rate: frames stamped by a clock that runs fast by 100 ppm come 100 µs later every second. The constant a is
+latency, or one shift of the clock, and is not reported (`clock_shift`). Units: s, mm. Limits: 200 frames in 20
+s, commands that explain half of the motion, and a change beyond five standard errors; one step. Pinned by
+tests/test_frame_clock.py.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softmap_edge import _core
+from softmap_edge.run import Run, known
+
+Floats = NDArray[np.float64]
+
+LEAST_FRAMES, LEAST_S = 200, 20.0
+SEPARATE = 0.3  # of the information on a line or step that must remain next to play and lag
+FRAMES = 2000  # at most, evenly thinned
+POINTS = 40  # of the body at most, evenly thinned
+ROWS = 3_000_000  # numbers of commands with play and lag that are held; longer runs are thinned
+COMPONENTS = 4  # of the motion of all points
+FOLLOWS = 0.5  # of the variance, that commands must explain
+SURE = 5.0  # standard errors of a rate
+STEP_SURE = 6.0  # of a step, whose place is searched for
+STEP_OVER_LINE = 20.0  # variances of a block by which a step must beat a line
+LEAST_CHANGE = 2e-3  # s over the run: less moves nothing that is seen
+DELAYS = np.arange(-0.5, 1.01, 0.04)  # s that are tried
+PLAYS, LAGS = (0.05, 0.15, 0.4), (0.3, 2.0, 10.0)  # of the range of a channel, and s
+BLOCK_FRAMES, MOST_BLOCKS, LEAST_BLOCKS = 25, 40, 8
+MANY_CHANNELS = 3  # above which the polynomial is quadratic
+ROUNDS = 3
+NUDGE = 5e-3  # s, for the derivative
+RARE = 3.0  # median deviations: a frame whose error is larger weighs less
+
+
+@dataclass(frozen=True)
+class FrameClock:
+    """How the clock of the frames runs against that of the commands.
+
+    Attributes:
+        fast_ppm, sigma_ppm: by how much it runs fast, with its standard error; None where the moves do not show it.
+        step_s, step_sigma_s, at_s: by how much it is set forward, and when; None without a step.
+        duration_s: of the frames.
+    """
+
+    fast_ppm: float | None
+    sigma_ppm: float | None
+    duration_s: float
+    step_s: float | None = None
+    step_sigma_s: float | None = None
+    at_s: float | None = None
+
+    @property
+    def runs_fast(self) -> bool:
+        """Whether the rates differ beyond doubt, by as much as can be seen."""
+        if self.step_s is not None or self.fast_ppm is None or self.sigma_ppm is None:
+            return False
+        change = 1e-6 * abs(self.fast_ppm) * self.duration_s
+        return abs(self.fast_ppm) > SURE * self.sigma_ppm and change > LEAST_CHANGE
+
+    @property
+    def differs(self) -> bool:
+        """Whether the clocks differ beyond doubt."""
+        return self.runs_fast or self.step_s is not None
+
+    def __str__(self) -> str:
+        if self.step_s is not None:
+            return (
+                f"the clock of the frames steps by {1e3 * self.step_s:+.1f} ± {1e3 * (self.step_sigma_s or 0):.1f} ms "
+                f"against the commands at {self.at_s:.6g} s: set seen.clock_step = [{self.at_s:.6g}, "
+                f"{self.step_s:.4f}] in the mapping, or cut the run there"
+            )
+        if self.fast_ppm is None or self.sigma_ppm is None:
+            return "the moves of this run do not show how fast the clock of the frames runs"
+        late = 1e-6 * self.fast_ppm * self.duration_s
+        way = "fast" if self.fast_ppm > 0 else "slow"
+        return (
+            f"the clock of the frames runs {abs(self.fast_ppm):.0f} ± {self.sigma_ppm:.0f} ppm {way} against the "
+            f"commands ({abs(late):.3f} s over the run): set seen.fast_ppm = {self.fast_ppm:.0f} in the mapping"
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return it as plain numbers."""
+        return {
+            "fast_ppm": self.fast_ppm,
+            "sigma_ppm": self.sigma_ppm,
+            "step_s": self.step_s,
+            "step_sigma_s": self.step_sigma_s,
+            "at_s": self.at_s,
+            "text": str(self) if self.differs else None,
+        }
+
+
+def frame_clock(run: Run) -> FrameClock | None:
+    """Estimate how the clock of the frames runs against that of the commands.
+
+    Args:
+        run: a run with commands and points.
+
+    Returns:
+        FrameClock: the estimate; None where the run does not show it.
+    """
+    with np.errstate(all="ignore"):  # a run may hold any numbers
+        try:
+            found = _found(run)
+        except np.linalg.LinAlgError:
+            return None
+    numbers = [] if found is None else [found.fast_ppm, found.sigma_ppm, found.step_s, found.step_sigma_s]
+    return found if all(number is None or np.isfinite(number) for number in numbers) else None
+
+
+def _found(run: Run) -> FrameClock | None:
+    motion = _motion(run)
+    if motion is None:
+        return None
+    t, y = motion
+    memory = _Memory(run)
+    if len(t) < max(LEAST_FRAMES, 8 * memory.count):
+        return None
+    late = _constant(memory, t, y)
+    if memory.errors(t - late, y).follows < FOLLOWS:
+        return None
+    delay = np.full(len(t), late)
+    blocks = _Blocks(t)
+    shape = _Line()
+    for _ in range(ROUNDS):
+        blocks.measure(memory, t, y, delay)
+        shape = _best(blocks)
+        delay = shape.at(t)
+    blocks.measure(memory, t, y, delay)
+    return _answer(_best(blocks), t, np.asarray(run.t_seen, float))
+
+
+def _motion(run: Run) -> tuple[Floats, Floats] | None:
+    """Times (K,) and components (K, P) mm of what was seen, of frames in which all chosen points are known."""
+    seen = run.vertices if run.vertices is not None else run.markers
+    given = run.command if run.command is not None else run.ticks
+    if seen is None or given is None or run.timeless or run.channels == 0:
+        return None
+    if run.frames < LEAST_FRAMES or len(run.t) < 3 or not np.ptp(given, axis=0).any():
+        return None
+    there = known(run, seen)
+    often = there.mean(axis=0) > 0.9
+    chosen = np.flatnonzero(often)
+    often[np.delete(chosen, np.unique(np.linspace(0, len(chosen) - 1, min(len(chosen), POINTS)).astype(int)))] = False
+    rows = np.flatnonzero(there[:, often].all(axis=1)) if often.any() else np.zeros(0, int)
+    rows = rows[np.unique(np.linspace(0, len(rows) - 1, min(len(rows), FRAMES)).astype(int))] if len(rows) else rows
+    t = np.asarray(run.t_seen, float)[rows]
+    if len(rows) < LEAST_FRAMES or t[-1] - t[0] < LEAST_S:
+        return None
+    flat = np.asarray(seen[rows][:, often], float).reshape(len(rows), -1)
+    flat = flat - flat.mean(axis=0)
+    _, size, axes = np.linalg.svd(flat, full_matrices=False)
+    keep = min(COMPONENTS, int((size > 0.02 * size[0]).sum()))
+    return (t, flat @ axes[:keep].T) if size[0] > 0 else None
+
+
+class _Memory:
+    """The commands, with play and lag of several sizes, at any times."""
+
+    def __init__(self, run: Run) -> None:
+        given = run.command if run.command is not None else run.ticks
+        assert given is not None
+        self.t, u = np.asarray(run.t, float), np.asarray(given, float)
+        span = np.ptp(u, axis=0)
+        u = (u[:, span > 0] - u[:, span > 0].mean(axis=0)) / (0.5 * span[span > 0])
+        thin = max(1, int(np.ceil(u.size * (1 + len(PLAYS) + len(LAGS)) / ROWS)))
+        columns = [u[::thin]]
+        for c in range(u.shape[1]):
+            one = np.ascontiguousarray(u[:, c : c + 1])
+            for name, sizes in (("backlash", 2.0 * np.array(PLAYS)), ("lag", np.array(LAGS))):
+                made = _core.Chain([name], 1).rollout(np.ascontiguousarray(sizes[:, None]), one, self.t)
+                columns.append(np.asarray(made)[..., 0].T[::thin])
+        self.channels, self.series, self.t = u.shape[1], np.hstack(columns), self.t[::thin]
+        self.count = self.at(self.t[:1]).shape[1]
+
+    def at(self, t: Floats) -> Floats:
+        """Return the columns (K, F) at times (K,) s."""
+        rows = np.stack([np.interp(t, self.t, column) for column in self.series.T], axis=1)
+        u = rows[:, : self.channels]
+        drift = (2 * (t - self.t[0]) / (self.t[-1] - self.t[0]) - 1)[:, None]
+        products = [u[:, i] * u[:, j] for i in range(self.channels) for j in range(i, self.channels)]
+        if self.channels <= MANY_CHANNELS:
+            products += [u[:, i] * p for i in range(self.channels) for p in list(products)]
+        return np.column_stack([np.ones(len(rows)), rows, *products, drift, drift**2, drift * u])
+
+    def errors(self, t: Floats, y: Floats) -> _Fitted:
+        """Return the best map of the columns at times (K,) s onto y (K, P) mm."""
+        columns = self.at(t)
+        weight = np.ones((len(t), 1))
+        for _ in range(2):  # frames with gross errors weigh less
+            map_ = _ridge(columns * weight, y * weight)
+            error = y - columns @ map_
+            size = np.linalg.norm(error, axis=1)
+            weight = np.minimum(1.0, RARE * np.median(size) / np.maximum(size, 1e-12))[:, None]
+        slope = (self.at(t + NUDGE) - self.at(t - NUDGE)) @ map_ / (2 * NUDGE)
+        return _Fitted(columns * weight, error * weight, slope * weight, y * weight)
+
+
+@dataclass(frozen=True)
+class _Fitted:
+    """A map of the columns (K, F) onto what was seen: errors and slopes over time (K, P); all weighted."""
+
+    columns: Floats
+    error: Floats
+    slope: Floats
+    seen: Floats
+
+    @property
+    def follows(self) -> float:
+        """The share of the variance that the map explains."""
+        return 1.0 - float((self.error**2).sum()) / max(float((self.seen**2).sum()), 1e-300)
+
+
+def _ridge(columns: Floats, y: Floats) -> Floats:
+    gram = columns.T @ columns
+    gram += 1e-6 * np.trace(gram) / len(gram) * np.eye(len(gram))
+    return np.asarray(np.linalg.solve(gram, columns.T @ y))
+
+
+def _constant(memory: _Memory, t: Floats, y: Floats) -> float:
+    """The one delay that explains most."""
+    some = slice(None, None, max(1, len(t) // 600))
+    return float(max(DELAYS, key=lambda late: memory.errors(t[some] - late, y[some]).follows))
+
+
+class _Blocks:
+    """Delays of blocks of time, with their information H."""
+
+    def __init__(self, t: Floats) -> None:
+        self.count = int(np.clip(len(t) // BLOCK_FRAMES, LEAST_BLOCKS, MOST_BLOCKS))
+        share = (t - t[0]) / (t[-1] - t[0])
+        self.of: NDArray[np.int64] = np.minimum((share * self.count).astype(np.int64), self.count - 1)
+        self.t = np.bincount(self.of, t, self.count) / np.maximum(np.bincount(self.of, minlength=self.count), 1)
+        self.weight: Floats = np.zeros((self.count, self.count))  # H
+        self.alone: Floats = np.zeros(self.count)  # its diagonal if the map were known
+        self.pull = np.zeros(self.count)  # H δ
+        self.inverse = self.weight
+
+    def measure(self, memory: _Memory, t: Floats, y: Floats, delay: Floats) -> None:
+        """Measure the delay of each block about one that is assumed, (K,) s."""
+        fitted = memory.errors(t - delay, y)
+        q, _ = np.linalg.qr(fitted.columns)
+        self.alone = np.asarray(np.bincount(self.of, (fitted.slope**2).sum(axis=1), self.count), float)
+        self.weight = np.diag(self.alone)
+        along = np.zeros(self.count)
+        for slope, error in zip(fitted.slope.T, fitted.error.T):
+            inner = np.stack([np.bincount(self.of, column * slope, self.count) for column in q.T])  # (F, B)
+            self.weight -= inner.T @ inner
+            along += np.bincount(self.of, slope * error, self.count)
+        counts = np.maximum(np.bincount(self.of, minlength=self.count), 1)
+        self.pull = self.weight @ (np.bincount(self.of, delay, self.count) / counts) - along
+        self.inverse = np.asarray(np.linalg.pinv(self.weight, rcond=1e-6, hermitian=True), float)
+
+    def fit(self, part: Floats, kind: str, pivot: float) -> _Line:
+        """Fit a first value and so much of a `part` (B,) to the delays; their scatter gives the standard error."""
+        ones = np.ones((self.count, 1))
+        columns = ones if kind == "constant" else np.column_stack([ones, part])
+        gram = columns.T @ self.weight @ columns
+        inverse = np.linalg.pinv(gram, hermitian=True)
+        value = inverse @ (columns.T @ self.pull)
+        left = self.pull - self.weight @ (columns @ value)
+        squares = max(float(left @ self.inverse @ left), 0.0)
+        spread = squares / max(self.count - columns.shape[1] - 1, 1)
+        known = np.linalg.pinv((columns * self.alone[:, None]).T @ columns, hermitian=True)[-1, -1]
+        separate = known > SEPARATE * inverse[-1, -1]
+        sigma = float(np.sqrt(max(spread * inverse[-1, -1], 0.0))) if separate else np.inf
+        return _Line(kind, (float(value[0]), float(value[-1]) if kind != "constant" else 0.0), sigma, pivot, squares)
+
+
+@dataclass(frozen=True)
+class _Line:
+    """A course of the delay: constant, a line, or a step."""
+
+    kind: str = "constant"
+    value: tuple[float, float] = (0.0, 0.0)  # the first part, and slope or step
+    sigma: float = 0.0  # of the slope or step
+    pivot: float = 0.0  # s: where the line has the first value, or where the step is
+    left: float = np.inf  # weighted squares
+    slope: float = 0.0  # of the line in any case
+    slope_sigma: float = np.inf
+
+    def at(self, t: Floats) -> Floats:
+        """Return the delay (K,) s at times (K,) s."""
+        part = t - self.pivot if self.kind == "line" else (t >= self.pivot) if self.kind == "step" else np.zeros(len(t))
+        return np.asarray(self.value[0] + self.value[1] * part)
+
+
+def _best(blocks: _Blocks) -> _Line:
+    """The course of the delay that blocks show: a step or a line only where it is sure."""
+    t = blocks.t
+    middle = float(t.mean())
+    flat, line = blocks.fit(t, "constant", 0.0), blocks.fit(t - middle, "line", middle)
+    cuts = 0.5 * (t[2:-1] + t[1:-2])
+    steps = [blocks.fit((t >= cut).astype(float), "step", float(cut)) for cut in cuts]
+    step = min((one for one in steps if np.isfinite(one.sigma)), key=lambda one: one.left, default=flat)
+    clear = line.left - step.left > STEP_OVER_LINE * step.left / (blocks.count - 3)
+    if step.kind == "step" and clear and abs(step.value[1]) > max(STEP_SURE * step.sigma, LEAST_CHANGE):
+        found = step
+    else:
+        found = line if abs(line.value[1]) > SURE * line.sigma else flat
+    return replace(found, slope=line.value[1], slope_sigma=line.sigma)
+
+
+def _answer(shape: _Line, t: Floats, stamps: Floats) -> FrameClock:
+    duration = float(t[-1] - t[0])
+    known = np.isfinite(shape.slope_sigma)
+    fast, sigma = (1e6 * shape.slope, 1e6 * shape.slope_sigma) if known else (None, None)
+    if shape.kind != "step":
+        return FrameClock(fast, sigma, duration)
+    return FrameClock(fast, sigma, duration, shape.value[1], shape.sigma, _place(shape, stamps))
+
+
+def _place(shape: _Line, t: Floats) -> float:
+    """When the clock was set: at the stamps whose distance shows it, near the place that the blocks show."""
+    apart = np.diff(t) - np.median(np.diff(t))
+    near = np.abs(t[1:] - shape.pivot) < 2 * (t[-1] - t[0]) / LEAST_BLOCKS
+    odd = np.where(near, np.sign(shape.value[1]) * apart, -np.inf)
+    k = int(np.argmax(odd))
+    return float(t[k + 1]) if odd[k] > 0.5 * abs(shape.value[1]) else shape.pivot

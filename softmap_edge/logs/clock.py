@@ -1,0 +1,344 @@
+"""The times of a log's rows in s: empty and repeated rows left out, and what to do where time does not increase.
+
+A fall of a clock is named for what it is:
+
+- a *roll-over* falls by 2^16, 2^24 or 2^32 of a unit (or of the counter), or at the full minute, hour or day, so that
+  one step of the usual size explains it; `time.jumps = "mend"` counts on;
+- a *step* is one fall (or leap) of a clock that was set; `"mend"` takes it out where it is the only one, and
+  `from_row` and `to_row` cut the log there;
+- rows *out of order* are few; `time.repeated = "drop"` leaves them out, and is offered only where it loses few rows.
+
+Pinned by tests/test_clock.py.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softmap_edge.errors import RunError
+from softmap_edge.logs.readers.columns import Array, Cells
+from softmap_edge.logs.time_keys import TIME, Clock
+from softmap_edge.logs.time_text import DAY, HOUR
+
+FEW = 0.05  # of the rows: the most that may be left out without a doubt
+_REGULAR = 0.2  # of the usual step: what a clock with jitter stays within
+_SLOWEST = 3.0  # times the 95th percentile of the steps: the longest step that a roll-over may leave
+_BITS = (16, 24, 32)
+_LEAP = 50.0  # times the 95th percentile of the steps: from here on a step forward is a pause or a clock that was set
+_NEAR = 20  # rows on either side that show how far values move from row to row
+
+
+@dataclass(frozen=True)
+class Times:
+    """The rows of a log that have a time.
+
+    Attributes:
+        t: (rows,) s, increasing.
+        cells: the cells of these rows.
+        notes, doubts: what was done, and what looks wrong; a sentence each.
+    """
+
+    t: Array
+    cells: Cells
+    notes: tuple[str, ...]
+    doubts: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Jump:
+    """Where a clock falls or leaps.
+
+    Attributes:
+        rows: the first row after each fall.
+        size_s: s by which time changes there, against the row before.
+        period_s: s of a clock that rolls over; None of one that was set.
+        period: the same in words.
+    """
+
+    rows: NDArray[np.int64]
+    size_s: Array
+    period_s: float | None
+    period: str = ""
+
+
+def times_of(path: Path, where: str, cells: Cells, t: Array, clock: Clock) -> Times:
+    """Return the times of the rows of a log.
+
+    Args:
+        path: the log, for messages.
+        where: what a row is called in it: line, frame, message.
+        cells: the columns that are asked for.
+        t: (rows,) s as the log has them; NaN where it has none.
+        clock: what the mapping says of time.
+
+    Raises:
+        RunError: a row has values and no time, or time does not increase and the mapping does not say what to do.
+    """
+    notes: list[str] = []
+    doubts: list[str] = []
+    row = np.arange(len(t))
+    empty = ~np.isfinite(t)
+    if empty.any():
+        if not np.isnan(cells.numbers[empty]).all():
+            first = int(np.argmax(empty & np.isfinite(cells.numbers).any(axis=1)))
+            raise RunError(f"{path}: {where} {cells.lines[first]}: the time is empty or not a number; remove the line")
+        notes.append(f"{int(empty.sum())} empty rows were left out")
+        t, cells, row = t[~empty], kept(cells, ~empty), row[~empty]
+    if len(t) == 0:
+        raise RunError(f"{path}: holds no rows; give a log that holds data")
+    again = _written_twice(t, cells)
+    if again.any():
+        notes.append(f"{int(again.sum())} rows that repeat the row before, time and all, were left out")
+        t, cells, row = t[~again], kept(cells, ~again), row[~again]
+    if clock.jumps == "mend":
+        t = _mended(t, cells, clock, row, notes, doubts)
+    if clock.repeated == "drop" and len(t) > 1:
+        fresh = increasing(t)
+        if not fresh.all():
+            _tell_dropped(t, fresh, row, clock, notes, doubts)
+            t, cells, row = t[fresh], kept(cells, fresh), row[fresh]
+    _refuse_falls(path, where, t, cells, row, clock)
+    if clock.repeated == "spread" and (shared := int((np.diff(t) == 0).sum())):
+        doubts.append(
+            f"t: {shared} of {len(t)} rows share a time with the row before and were spread evenly: these times are "
+            "made up, and delays shorter than the clock's step cannot be identified"
+        )
+        t = spread(t)
+    if clock.jumps != "mend" and (leap := set_forward(t, cells, clock)) is not None:
+        at = int(leap.rows[0])
+        doubts.append(
+            f"t: time leaps by {leap.size_s[0]:.6g} s at row {row[at]} ({where} {cells.lines[at]}), and the values go "
+            'on as if none had passed: a clock that was set forward? time.jumps = "mend" takes the step out; to_row = '
+            f"{row[at] - 1} and from_row = {row[at]} cut the log in two"
+        )
+    return Times(t, cells, (*notes, *_gaps(where, t, cells)), tuple(doubts))
+
+
+def kept(cells: Cells, keep: NDArray[np.bool_]) -> Cells:
+    """Return some of the rows."""
+    labels = None if cells.labels is None else cells.labels[keep]
+    return replace(cells, numbers=cells.numbers[keep], labels=labels, lines=cells.lines[keep])
+
+
+def increasing(t: Array) -> NDArray[np.bool_]:
+    """Return which rows (rows,) are later than every row before: what `repeated = "drop"` keeps."""
+    return np.asarray(np.r_[True, t[1:] > np.maximum.accumulate(t)[:-1]])
+
+
+def _written_twice(t: Array, cells: Cells) -> NDArray[np.bool_]:
+    again = np.zeros(len(t), bool)
+    at = np.flatnonzero(np.r_[False, np.diff(t) == 0])
+    if len(at):
+        before, after = cells.numbers[at - 1], cells.numbers[at]
+        again[at] = ((before == after) | (np.isnan(before) & np.isnan(after))).all(axis=1)
+        if cells.labels is not None:
+            again[at] &= cells.labels[at - 1] == cells.labels[at]
+    return again
+
+
+def _tell_dropped(
+    t: Array, fresh: NDArray[np.bool_], row: NDArray[np.int64], clock: Clock, notes: list[str], doubts: list[str]
+) -> None:
+    lost, share = int((~fresh).sum()), float((~fresh).mean())
+    if share <= FEW:
+        notes.append(f"{lost} rows whose time does not increase were dropped")
+        return
+    at = int(np.argmin(fresh))
+    cause = _way_out(t, row, at, find_jump(t, clock), bool(t[at] < t[at - 1]))
+    doubts.append(
+        f't: time.repeated = "drop" leaves out {lost} of {len(fresh)} rows ({100 * share:.0f} %), '
+        f"from row {row[at]} on; {cause}"
+    )
+
+
+# --- roll-overs and steps ------------------------------------------------------------------
+def find_jump(t: Array, clock: Clock) -> Jump | None:
+    """Return the falls of a clock that one cause explains: a roll-over, or one step; None where none does.
+
+    Args:
+        t: (rows,) s.
+        clock: its unit, or the rate of its counter, decides at which sizes it can roll over.
+    """
+    step = np.diff(t)
+    rows = np.flatnonzero(step < 0) + 1
+    rises = step[step > 0]
+    if not len(rows) or len(rises) < 3:
+        return None
+    size = -step[rows - 1]
+    slowest = _SLOWEST * float(np.quantile(rises, 0.95))
+    usual = float(np.median(rises))
+    for period, words, clocklike in _periods(clock):
+        left = period - size
+        within = float(np.ptp(t)) <= period * (1 + 1e-9)
+        if not (within and ((left > 0) & (left <= slowest)).all()):
+            continue
+        if clocklike and (t.min() < 0 or period - t.max() > slowest or t[rows].max() > slowest):
+            continue
+        return Jump(rows, -size, period, words)
+    if len(rows) == 1 and size[0] > 3 * usual:
+        return Jump(rows, -size, None)
+    return None
+
+
+def _periods(clock: Clock) -> list[tuple[float, str, bool]]:
+    """The s after which clocks begin again, in words, and whether that is a matter of the calendar."""
+    found = (
+        [(2.0**bits * clock.seconds, f"2^{bits} counts") for bits in (8, *_BITS)]
+        if clock.seconds not in TIME.values()
+        else []
+    )
+    for unit in ("us", "ms", "ns", "s"):
+        found += [(2.0**bits * TIME[unit], f"2^{bits} {unit}") for bits in _BITS]
+    counted = [(period, words, False) for period, words in found]
+    calendar = ((1.0, "the full second"), (60.0, "the full minute"), (HOUR, "the full hour"), (DAY, "midnight"))
+    return counted + [(period, words, True) for period, words in calendar]
+
+
+def counting_on(t: Array, jump: Jump) -> Array:
+    """Return times (rows,) s that count on over the roll-overs of a clock."""
+    assert jump.period_s is not None
+    turns = np.zeros(len(t))
+    turns[jump.rows] = 1.0
+    return t + jump.period_s * np.cumsum(turns)
+
+
+def _mended(t: Array, cells: Cells, clock: Clock, row: NDArray[np.int64], notes: list[str], doubts: list[str]) -> Array:
+    """The times without their jumps, where one cause explains them."""
+    jump = find_jump(t, clock) or set_forward(t, cells, clock)
+    if jump is None:
+        return t
+    if jump.period_s is not None:
+        notes.append(f"the clock rolls over {len(jump.rows)} times (at {jump.period}) and counts on")
+        return counting_on(t, jump)
+    usual, at = _usual(t), int(jump.rows[0])
+    doubts.append(
+        f"t: the clock was set by {jump.size_s[0] - usual:.6g} s at row {row[at]}, and the step was taken out: later "
+        f"rows follow at the usual step of {usual:.3g} s, which is right if the log did not pause there"
+    )
+    mended = t.copy()
+    mended[at:] += usual - jump.size_s[0]
+    return mended
+
+
+def _usual(t: Array) -> float:
+    step = np.diff(t)
+    return float(np.median(step[step > 0]))
+
+
+def set_forward(t: Array, cells: Cells, clock: Clock) -> Jump | None:
+    """Return the one leap of a clock that was set forward: the values go on as if no time had passed; else None."""
+    step = np.diff(t)
+    if len(step) < 2 * _NEAR or (step <= 0).any():
+        return None
+    high = np.flatnonzero(step > max(_LEAP * float(np.quantile(step, 0.95)), 1.0))
+    if len(high) != 1:
+        return None
+    at = int(high[0])
+    near = cells.numbers[max(at - _NEAR, 0) : at + 1 + _NEAR]
+    moved = np.abs(np.diff(near, axis=0))
+    leapt = np.abs(cells.numbers[at + 1] - cells.numbers[at])
+    values = np.ptp(cells.numbers, axis=0) < 0.999 * np.ptp(t) / clock.seconds  # the column of time apart
+    usual, span = np.nanmedian(moved, axis=0), np.ptp(cells.numbers, axis=0)
+    moving = values & (usual > 1e-3 * span) & (span > 0) & np.isfinite(leapt)
+    if moving.sum() == 0 or not (leapt[moving] <= _SLOWEST * usual[moving]).all():
+        return None
+    return Jump(np.array([at + 1]), step[[at]], None)
+
+
+def _refuse_falls(path: Path, where: str, t: Array, cells: Cells, row: NDArray[np.int64], clock: Clock) -> None:
+    """Raise RunError where time does not increase, with what explains it and the way out."""
+    step = np.diff(t)
+    late = step < 0 if clock.repeated == "spread" else step <= 0
+    if not late.any():
+        return
+    jump = find_jump(t, clock)
+    at = int(np.argmax(late)) + 1 if jump is None else int(jump.rows[0])
+    back = step[at - 1] < 0
+    raise RunError(
+        f"{path}: time {'goes backwards' if back else 'stands still'} at row {row[at]} ({where} {cells.lines[at]}: "
+        f"{t[at]:.10g} s after {t[at - 1]:.10g} s), {int(late.sum())} such rows; {_way_out(t, row, at, jump, back)}"
+    )
+
+
+def _way_out(t: Array, row: NDArray[np.int64], at: int, jump: Jump | None, back: bool) -> str:
+    if jump is not None and jump.period_s is not None:
+        return f'the clock rolls over at {jump.period} ({jump.period_s:.10g} s): set time.jumps = "mend" to count on'
+    cut = f"or import the log in two parts, to_row = {row[at] - 1} and from_row = {row[at]}"
+    if jump is not None:
+        return (
+            f'the clock was set back by about {_usual(t) - jump.size_s[0]:.6g} s: set time.jumps = "mend" to take the '
+            f"step out, {cut}"
+        )
+    ways = []
+    lost = int((~increasing(t)).sum())
+    if lost <= max(1, FEW * len(t)):
+        ways.append(f'set time.repeated = "drop" to leave {lost} of {len(t)} rows out')
+    if not (np.diff(t) < 0).any():
+        ways.append('set time.repeated = "spread" to place rows of one time evenly up to the next')
+    if not ways:
+        ways = ["the rows are not in the order of time: choose another column", cut]
+    return ", or ".join(ways).replace(", or or ", ", or ")
+
+
+def spread(t: Array) -> Array:
+    """Return rows of one time evenly from it to the next time.
+
+    The last ones follow at the usual step, and so do the first where they are fewer than usual: the log began within
+    their time.
+    """
+    first = np.flatnonzero(np.r_[True, np.diff(t) > 0])
+    count = np.diff(np.r_[first, len(t)])
+    width = np.diff(t[first])
+    usual = float(np.median(width / count[:-1])) if len(width) else 1.0
+    step = np.r_[width / count[:-1], usual]
+    begin = t[first].copy()
+    if len(width) > 1 and count[0] * usual < width[0]:
+        step[0], begin[0] = usual, t[first[1]] - count[0] * usual
+    within = np.arange(len(t)) - np.repeat(first, count)
+    return np.asarray(np.repeat(begin, count) + within * np.repeat(step, count))
+
+
+def corrected(t_seen: Array, start: float, fast_ppm: float, step: tuple[float, float] | None) -> Array:
+    """Return times of frames (K,) s on the clock of the commands.
+
+    Args:
+        t_seen: (K,) s, as the clock of the frames has them.
+        start: s, where both clocks agree: the first command.
+        fast_ppm: by how much the clock of the frames runs fast.
+        step: when it is set (s, as it shows), and by how much (s); None if it is not.
+
+    Raises:
+        RunError: the frames before and after the step would overlap.
+    """
+    t = t_seen.copy()
+    if step is not None:
+        t[t_seen >= step[0]] -= step[1]
+        if (np.diff(t) <= 0).any():
+            k = int(np.argmax(np.diff(t) <= 0))
+            raise RunError(
+                f"seen.clock_step = [{step[0]:.6g}, {step[1]:.6g}]: frames overlap after {t_seen[k]:.6g} s, where none "
+                "may; give the time and the sign of the step, as `softmap check` prints them"
+            )
+    return np.asarray(start + (t - start) / (1.0 + 1e-6 * fast_ppm))
+
+
+def _gaps(where: str, t: Array, cells: Cells) -> list[str]:
+    """Rows that a regular clock should have had."""
+    step = np.diff(t)
+    if len(step) < 10:
+        return []
+    usual = float(np.median(step))
+    if (np.abs(step - usual) <= _REGULAR * usual).mean() < 0.9:
+        return []
+    gaps = step > 1.5 * usual
+    if not gaps.any():
+        return []
+    missing, row = int(np.rint(step[gaps] / usual - 1).sum()), int(np.argmax(step))
+    return [
+        f"{missing} rows are missing in {int(gaps.sum())} gaps, the longest {step[row]:.3g} s after {where} "
+        f"{cells.lines[row]} (usual step {usual:.3g} s); nothing is made up for them"
+    ]

@@ -1,0 +1,70 @@
+"""Finds places among columns that have no names, by their values alone.
+
+Three columns next to each other are a place where a unit quaternion follows them, as in a pose; or where they move
+smoothly and keep a distance from the origin that changes little, as points of a robot do, and nothing else that moves
+is left over. Commands start at home and do not. Pinned by tests/test_guess_time.py.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softmap_edge.logs.guess_columns import Sheet
+
+Array = NDArray[np.float64]
+_UNIT = 1e-2  # of the length of a quaternion
+_SMOOTH = 0.35  # of the spread of a column: the usual step between rows
+_STEADY = 0.34  # of the distance from the origin: how far it may change
+
+
+def places_by_value(sheet: Sheet, spent: set[str]) -> list[list[str]]:
+    """Return the triples of columns that are places; [] where values do not decide.
+
+    Args:
+        sheet: a log without a header.
+        spent: columns that hold something else: time, text.
+    """
+    free = [name for name in sheet.names if name not in spent and name not in sheet.texts]
+    posed = [free[k : k + 3] for k in range(len(free) - 6) if _quaternion(sheet.rows_of(free[k + 3 : k + 7]))]
+    posed = [triple for triple in posed if np.isfinite(sheet.rows_of(triple)).all(axis=1).any()]
+    if posed:
+        return [triple for triple in posed if not any(_quaternion_part(sheet, name, free) for name in triple)]
+    moving = [name for name in free if _varies(sheet.column(name))]
+    if not moving or len(moving) % 3 or _places(sheet, moving) != list(range(len(moving))):
+        return []
+    triples = [moving[k : k + 3] for k in range(0, len(moving), 3)]
+    return triples if all(_is_place(sheet.rows_of(triple)) for triple in triples) else []
+
+
+def _places(sheet: Sheet, names: list[str]) -> list[int]:
+    """The positions of columns, from that of the first."""
+    at = [sheet.names.index(name) for name in names]
+    return [k - at[0] for k in at]
+
+
+def _varies(values: Array) -> bool:
+    known = values[np.isfinite(values)]
+    return len(known) > 1 and float(np.ptp(known)) > 0
+
+
+def _quaternion(rows: Array) -> bool:
+    """Whether four columns (rows, 4) are unit quaternions."""
+    known = rows[np.isfinite(rows).all(axis=1)]
+    return len(known) > 1 and bool((np.abs(np.linalg.norm(known, axis=1) - 1.0) < _UNIT).all())
+
+
+def _quaternion_part(sheet: Sheet, name: str, free: list[str]) -> bool:
+    k = free.index(name)
+    return any(_quaternion(sheet.rows_of(free[j : j + 4])) for j in range(max(0, k - 3), k + 1) if j + 4 <= len(free))
+
+
+def _is_place(rows: Array) -> bool:
+    """Whether three columns (rows, 3) are a place: they move smoothly, at a distance that changes little."""
+    known = rows[np.isfinite(rows).all(axis=1)]
+    if len(known) < 10:
+        return False
+    distance = np.linalg.norm(known, axis=1)
+    steady = float(np.ptp(distance)) < _STEADY * float(np.median(distance))
+    spread, step = np.ptp(known, axis=0), np.median(np.abs(np.diff(known, axis=0)), axis=0)
+    return steady and bool((step[spread > 0] < _SMOOTH * spread[spread > 0]).all())

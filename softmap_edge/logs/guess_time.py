@@ -1,0 +1,292 @@
+"""Finds the time of a log: one column, seconds with their nanoseconds, a date with a time of day, or nothing.
+
+A column whose cells are dates or times always counts, whatever its name. Otherwise a column that rises throughout and
+is called so, or is the first; a clock that falls counts where one roll-over or one step explains it. Full seconds that
+repeat are completed by the fraction next to them: of the same name, or because it falls only where they rise. Pinned by
+tests/test_guess_time.py.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softmap_edge.logs.clock import counting_on, find_jump
+from softmap_edge.logs.guess_columns import Sheet, last_of, unit_in_name
+from softmap_edge.logs.readers.cells import is_value
+from softmap_edge.logs.time_keys import NO_TIME, ROW_S, TIME, Clock
+from softmap_edge.logs.time_text import DAY
+
+Array = NDArray[np.float64]
+RATE_HZ = 100  # of a counter, where nothing says better
+_COUNTERS = re.compile(r"^(id|frame#?|index|idx|sample|row|count(er)?|nr|no|n|#|)$", re.IGNORECASE)
+_TIMES = re.compile(r"^t$|time|stamp|clock|^sec|^t_|_t$", re.IGNORECASE)
+_WHOLE = re.compile(r"(seconds|secs?|s)$", re.IGNORECASE)
+_FRACTION = {
+    "ns": re.compile(r"(nano_?sec(onds|s)?|n_?secs?|ns)$", re.IGNORECASE),
+    "us": re.compile(r"(micro_?sec(onds|s)?|u_?secs?|us)$", re.IGNORECASE),
+    "ms": re.compile(r"(milli_?sec(onds|s)?|m_?secs?|ms)$", re.IGNORECASE),
+}
+_FALLS = 0.1  # of the rows: more falls than that, and a column is no clock
+_DAYS = ((2e4, 8e4), (7e5, 8e5))  # of dates since about 1955, as spreadsheets and Matlab count days
+_COARSE = 0.05  # of the rows share a time: another column may be finer
+
+
+@dataclass(frozen=True)
+class TimeFound:
+    """The time of a log.
+
+    Attributes:
+        columns: its columns; none where the rows only count.
+        unit: of the first: of `TIME`, `rows` of a counter, or `none`.
+        why: the reason, as a part of a sentence.
+        line: the `time` of the mapping that is proposed.
+        seconds: (rows,) s.
+        calendar: whether it counts since 1970, or since midnight.
+    """
+
+    columns: tuple[str, ...]
+    unit: str
+    why: str
+    line: str
+    seconds: Array
+    calendar: bool = False
+
+
+def time_of(sheet: Sheet, alone: bool = True) -> TimeFound:
+    """Return the time of a log.
+
+    Args:
+        sheet: the log.
+        alone: whether no other log has to be joined to it by time.
+    """
+    single = _single(sheet)
+    pair = _date_and_day(sheet) or _whole_and_fraction(sheet)
+    if pair is not None and (single is None or single in pair[0]):
+        return _of_pair(sheet, *pair)
+    if single is not None:
+        return _of_column(sheet, single)
+    rows = np.arange(len(sheet.numbers), dtype=float)
+    unread = _unread(sheet)
+    why = "no column holds time" if unread is None else f"'{unread[0]}' {unread[1]}"
+    if unread is not None and unread[2]:
+        line = f"time = {{ column = {cell(sheet, unread[0])} }}   # UNKNOWN: it {unread[1]}"
+        return TimeFound((unread[0],), "s", why, line, rows)
+    if alone:
+        line = f'time = "{NO_TIME}"   # UNKNOWN: {{ rate_hz = … }} if you know the rate of the log'
+        return TimeFound((), "none", f"{why}: only the order of the rows is known", line, rows * ROW_S)
+    line = f"time = {{ rate_hz = {RATE_HZ}, assumed = true }}   # UNKNOWN: the rate of the log"
+    return TimeFound((), "rows", why, line, rows / RATE_HZ)
+
+
+def _known(sheet: Sheet, name: str) -> Array:
+    values = sheet.column(name)
+    return values[np.isfinite(values)]
+
+
+def cell(sheet: Sheet, name: str) -> str:
+    """Return a column as the mapping names it: by number where there is no header, or where the name is there twice."""
+    k = sheet.names.index(name)
+    if not sheet.header or sheet.names.count(name) > 1 or (sheet.bare and sheet.bare.count(sheet.bare[k]) > 1):
+        return str(k)
+    return json.dumps(name, ensure_ascii=False)
+
+
+# --- one column ----------------------------------------------------------------------------
+def _single(sheet: Sheet) -> str | None:
+    """The column that is time by itself."""
+    dated = [name for name in sheet.clocks if len(known := _known(sheet, name)) > 1 and np.ptp(known) > 0]
+    best = min(dated, key=lambda name: (sheet.clocks[name] == "day", sheet.names.index(name)), default=None)
+    if best is not None and not _coarse(sheet, best):
+        return best
+    rising = [name for name in dict.fromkeys(sheet.names) if _rises(_known(sheet, name))]
+    falling = [name for name in dict.fromkeys(sheet.names) if name not in rising and _falls(sheet, name)]
+    for names in (rising, falling):
+        for pattern in (_TIMES, _COUNTERS):
+            fits = [name for name in names if name not in dated and pattern.search(_bare(last_of(sheet, name)))]
+            finer = [name for name in fits if not _coarse(sheet, name)]
+            if best is not None and (pattern is _COUNTERS or not finer):
+                continue
+            if fits:
+                return (finer or fits)[0]
+    if best is not None:
+        return best
+    first = rising[0] if rising else falling[0] if falling else None
+    if first == sheet.names[0] and (not sheet.header or _even(sheet.column(first))):
+        return first
+    return None
+
+
+def _bare(name: str) -> str:
+    """A name without its unit in brackets."""
+    return re.sub(r"[\[(].*?[\])]", "", name).strip()
+
+
+def _coarse(sheet: Sheet, name: str) -> bool:
+    """Whether many rows share a time with the row before."""
+    known = _known(sheet, name)
+    return len(known) > 1 and bool((np.diff(known) == 0).mean() > _COARSE)
+
+
+def _unread(sheet: Sheet) -> tuple[str, str, bool] | None:
+    """A column of text called as time is, what it holds, and whether most of its cells are numbers or times."""
+    for name, texts in sheet.texts.items():
+        filled = [text for text in texts if text]
+        if filled and sheet.header and _TIMES.search(_bare(last_of(sheet, name))):
+            odd = next((text for text in filled if not is_value(text)), filled[0])[:40]
+            most = 2 * sum(map(is_value, filled)) > len(filled)
+            return name, f"holds '{odd}'" + (" as well" if most else ", which is not read as time"), most
+    one = next((name for name, form in sheet.clocks.items() if form != "day"), None)
+    return None if one is None else (one, "holds one date only", False)
+
+
+def _rises(known: Array) -> bool:
+    return len(known) > 1 and bool((np.diff(known) >= 0).mean() > 0.999 and known[-1] > known[0])
+
+
+def _falls(sheet: Sheet, name: str) -> bool:
+    """Whether a column rises but for a few falls that a roll-over or one step explains."""
+    known = _known(sheet, name)
+    step = np.diff(known)
+    if len(known) < 10 or not 0 < (step < 0).mean() <= _FALLS or (step == 0).mean() > 0.5:
+        return False
+    seconds, _ = _scale(sheet, name)
+    return find_jump(known * seconds, Clock(name, seconds)) is not None
+
+
+def _even(values: Array) -> bool:
+    """Whether numbers rise by nearly the same step from row to row, as a clock does under whatever name."""
+    step = np.diff(values[np.isfinite(values)])
+    usual = float(np.median(step))
+    return usual > 0 and bool((np.abs(step - usual) < 0.5 * usual).mean() > 0.9)
+
+
+def _of_column(sheet: Sheet, name: str) -> TimeFound:
+    seconds, (unit, why) = _scale(sheet, name)
+    values = sheet.column(name)
+    first = name == sheet.names[0] and not (sheet.header and _TIMES.search(name))
+    called = ("the first column" if first else "") + (
+        f" '{name}'" if sheet.header else "" if first else f"column {name}"
+    )
+    t, known = values * seconds, _known(sheet, name)
+    jump = find_jump(known * seconds, Clock(name, seconds))
+    keys = [f"column = {cell(sheet, name)}"]
+    if unit == "rows":
+        line = f"time = {{ {keys[0]}, rate_hz = {RATE_HZ}, assumed = true }}   # it counts rows; UNKNOWN: their rate"
+        return TimeFound((name,), "rows", f"{called.strip()} rises throughout; {why}", line, t)
+    keys += [] if name in sheet.clocks else [f'unit = "{unit}"']
+    moves = "rises throughout"
+    if jump is not None and jump.period_s is not None:
+        keys.append('jumps = "mend"')
+        moves = f"rises, and rolls over at {jump.period}"
+        at = np.flatnonzero(np.isfinite(t))
+        t[at] = counting_on(t[at], jump)
+    elif jump is not None:
+        moves = f"rises, but for a step at row {int(jump.rows[0])}"
+    keys += _repeated(known)
+    calendar = name in sheet.clocks or float(np.abs(known).max()) * seconds > 1e8
+    return TimeFound((name,), unit, f"{called.strip()} {moves}; {why}", f"time = {{ {', '.join(keys)} }}", t, calendar)
+
+
+def _repeated(known: Array) -> list[str]:
+    """What the mapping says of rows that share a time."""
+    same = (np.diff(known) == 0).mean() if len(known) > 1 else 0.0
+    return ['repeated = "spread"'] if same > 0.05 else ['repeated = "drop"'] if same > 0 else []
+
+
+def _scale(sheet: Sheet, name: str) -> tuple[float, tuple[str, str]]:
+    """The s of one unit of a column, the unit (`rows` of a counter), and why."""
+    if name in sheet.clocks:
+        what = "times of day" if sheet.clocks[name] == "day" else "dates"
+        return 1.0, ("s", f"it holds {what}, read as seconds")
+    unit, why = _unit(sheet, name)
+    return (1.0 / RATE_HZ if unit == "rows" else TIME[unit]), (unit, why)
+
+
+def _unit(sheet: Sheet, name: str) -> tuple[str, str]:
+    values = _known(sheet, name)
+    step = np.diff(values)
+    usual = float(np.median(step[step > 0]))
+    stated = sheet.units.get(name) or unit_in_name(name, TIME)
+    if stated in TIME:
+        return stated, f"its unit {stated} is stated"
+    largest = float(np.abs(values).max())
+    for limit, unit in ((1e17, "ns"), (1e14, "us"), (1e11, "ms"), (1e8, "s")):
+        if largest > limit and usual * TIME[unit] < 1000.0:
+            return unit, f"it counts {unit} since 1970"
+    if any(low < largest < high for low, high in _DAYS) and 2e-4 <= usual * TIME["d"] < 5.0:
+        return "d", "it counts days, as a spreadsheet does"
+    if (values == np.rint(values)).all() and usual == 1.0:
+        return "rows", "it counts rows"
+    for unit in ("s", "ms", "us", "ns"):
+        if 2e-4 <= usual * TIME[unit] < 5.0:
+            return unit, f"rows {usual:.4g} apart look like {unit}"
+    return "s", "its unit is not known and taken as s"
+
+
+# --- two columns ---------------------------------------------------------------------------
+def _of_pair(sheet: Sheet, names: tuple[str, str], units: tuple[str, str], why: str) -> TimeFound:
+    scales = [1.0 if name in sheet.clocks else TIME[unit] for name, unit in zip(names, units)]
+    parts = [sheet.column(name) for name in names]
+    if names[0] in sheet.clocks:
+        parts[1] = np.mod(parts[1], DAY)
+    t = parts[0] * scales[0] + parts[1] * scales[1]
+    keys = [f"columns = [{', '.join(cell(sheet, name) for name in names)}]"]
+    keys += [f'units = ["{units[0]}", "{units[1]}"]'] if units != ("s", "ns") and names[0] not in sheet.clocks else []
+    known = t[np.isfinite(t)]
+    keys += _repeated(known)
+    calendar = names[0] in sheet.clocks or bool(len(known)) and float(np.abs(known).max()) > 1e8
+    return TimeFound(names, units[0], why, f"time = {{ {', '.join(keys)} }}", t, calendar)
+
+
+def _date_and_day(sheet: Sheet) -> tuple[tuple[str, str], tuple[str, str], str] | None:
+    """A column of dates, and one of times of day."""
+    days = [name for name, form in sheet.clocks.items() if form == "day"]
+    dates = [
+        name for name, form in sheet.clocks.items() if form != "day" and not np.mod(_known(sheet, name), DAY).any()
+    ]
+    if not days or not dates:
+        return None
+    return (dates[0], days[0]), ("s", "s"), f"'{dates[0]}' holds dates and '{days[0]}' times of day"
+
+
+def _whole_and_fraction(sheet: Sheet) -> tuple[tuple[str, str], tuple[str, str], str] | None:
+    """Full seconds, and the fraction of a second in another column."""
+    for full in sheet.names:
+        stem = _WHOLE.sub("", full)
+        if not sheet.header or stem == full or full in sheet.texts:
+            continue
+        for unit, pattern in _FRACTION.items():
+            for name in sheet.names:
+                same = name != full and pattern.search(name) and pattern.sub("", name).lower() == stem.lower()
+                if same and _completes(_known(sheet, full), _known(sheet, name), TIME[unit]):
+                    return (full, name), ("s", unit), f"'{full}' holds seconds and '{name}' their {unit}"
+    for full, name in zip(sheet.names, sheet.names[1:]):
+        for unit in ("ns", "us", "ms"):
+            one, two = _known(sheet, full), _known(sheet, name)
+            if _completes(one, two, TIME[unit]) and _turns(one, two, TIME[unit]):
+                return (full, name), ("s", unit), f"column {full} holds seconds and column {name} their {unit}"
+    return None
+
+
+def _completes(full: Array, fraction: Array, seconds: float) -> bool:
+    """Whether two columns of integers are seconds that do not fall, and a fraction below one second."""
+    if len(full) != len(fraction) or len(full) < 2 or not (np.rint(full) == full).all():
+        return False
+    if not (np.rint(fraction) == fraction).all() or fraction.min() < 0 or fraction.max() * seconds >= 1.0:
+        return False
+    return bool(_rises(full + fraction * seconds) and (np.diff(full) >= 0).mean() > 0.999)
+
+
+def _turns(full: Array, fraction: Array, seconds: float) -> bool:
+    """Whether the fraction falls only where the seconds rise, and fills most of a second."""
+    falls, rises = np.diff(fraction) < 0, np.diff(full) > 0
+    repeats = (np.diff(full) == 0).mean() > 0.3
+    step = np.diff(full + fraction * seconds)
+    even = bool((step > 0).mean() > 0.99 and step.max() < 0.9)
+    filled = float(np.ptp(fraction)) * seconds > 0.5
+    return bool(repeats and falls.any() and not (falls & ~rises).any() and even and filled)

@@ -1,0 +1,72 @@
+"""Cuts one line of a text log into cells, and decides what a cell holds: a number, a time, a unit, a name."""
+
+from __future__ import annotations
+
+import csv
+import re
+
+from softmap_edge.logs.mapping import ANGLE, LENGTH, TIME
+from softmap_edge.logs.time_text import is_time
+
+DELIMITERS = (",", ";", "\t", "|")
+_COMMA_NUMBER = re.compile(r"[+-]?\d+(,\d+)?([eE][+-]?\d+)?")
+_OTHERS = ("", "-", "°", "°c", "degrees", "radians", "n", "ma", "a", "g", "kg")
+_UNITS = {*LENGTH, *TIME, *ANGLE, *_OTHERS}  # what a line of units holds
+_BRACKETS = "[](){}"
+
+
+def split(line: str, delimiter: str) -> list[str]:
+    """Return the cells of one line, stripped; [] where it is no CSV."""
+    if '"' not in line:
+        return [cell.strip() for cell in (line.split() if delimiter == " " else line.rstrip("\r\n").split(delimiter))]
+    try:
+        if delimiter == " ":
+            line = " ".join(line.split())
+        return [cell.strip() for cell in next(csv.reader([line], delimiter=delimiter, skipinitialspace=True), [])]
+    except csv.Error:
+        return []
+
+
+def trimmed(cells: list[str]) -> list[str]:
+    """Return the cells without the empty ones at the end."""
+    end = len(cells)
+    while end and not cells[end - 1]:
+        end -= 1
+    return cells[:end]
+
+
+def find_delimiter(line: str) -> str:
+    """Return what cuts a line into most cells; a space only where nothing else does.
+
+    Between numbers with decimal commas there are more commas than delimiters: the delimiter does not cut such numbers.
+    """
+    for mark in (";", "\t", "|", " "):
+        cells = [cell for cell in split(line, mark) if cell] if "," in line else []
+        if len(cells) > 1 and all(_COMMA_NUMBER.fullmatch(cell) for cell in cells):
+            return mark
+    best = max(DELIMITERS, key=line.count)
+    return best if best in line else (" " if " " in line.strip() else ",")
+
+
+def is_number(cell: str) -> bool:
+    """Return whether a cell is a number, with a decimal point or comma."""
+    try:
+        float(cell.replace(",", "."))
+    except ValueError:
+        return False
+    return True
+
+
+def is_value(cell: str) -> bool:
+    """Return whether a cell is a number or a time."""
+    return is_number(cell) or is_time(cell)
+
+
+def unit_of(cell: str) -> str:
+    """Return a cell of a line of units without its brackets."""
+    return cell.strip(_BRACKETS).strip().lower()
+
+
+def is_unit(cell: str) -> bool:
+    """Return whether a cell of a line is a unit that is known, or stands in brackets."""
+    return unit_of(cell) in _UNITS or (len(cell) > 2 and cell[0] in _BRACKETS and cell[-1] in _BRACKETS)

@@ -1,0 +1,285 @@
+"""Finds where the table of a text log begins: what cuts its lines, the line of names, units, and the first row.
+
+Loggers and vendors write lines of all kinds above the names. The table is the longest stretch of rows of one width
+that are mostly numbers or times; its names are the last line of text above it that is as wide as the rows (a line of
+units below the names apart). Names over several columns (`tip` above `X, Y, Z`) go in front of those below them. A
+first line that looks like the rows below it is a row: text in it stands only where the rows have text.
+
+Only the first lines are looked at (`LINES`, `CHARACTERS`), however long the file. Pinned by tests/test_header.py.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Collection
+from dataclasses import dataclass, field, replace
+
+from softmap_edge.logs.readers.cells import DELIMITERS, is_unit, is_value, split, trimmed, unit_of
+
+LINES = 1000  # in which the table must begin
+CHARACTERS = 2**20  # of these lines, but never fewer than `LEAST` lines
+LEAST = 8
+_LOOKED = 20  # rows below a line that decide whether it is a row as well
+_COMMON = 0.05  # of the rows: a width that so many have is no accident
+_SPARE = 3  # names more than cells: columns that are empty in every row, as comments are
+
+
+@dataclass(frozen=True)
+class Table:
+    """The head of a table.
+
+    Attributes:
+        delimiter: what cuts the lines.
+        names: of the columns; None where no line holds them.
+        first: the index of the first row among the lines.
+        header: the index of the line of names; None without one.
+        width: cells of a row.
+        fewest: cells of a row whose last cells, all empty, are left out.
+        units: by name, where a line of units stands between names and rows.
+        clash: indices of a line above the rows that could be names but has another number of cells.
+    """
+
+    delimiter: str
+    names: list[str] | None
+    first: int
+    header: int | None
+    width: int
+    fewest: int
+    units: dict[str, str] = field(default_factory=dict)
+    clash: int | None = None
+
+
+@dataclass(frozen=True)
+class _Line:
+    """One line: its cells, and whether it is a row, text, a comment, or nothing."""
+
+    cells: list[str]
+    kind: str  # row, text, comment, blank
+
+
+def enough(lines: list[str]) -> list[str]:
+    """Return the first lines, as many as are looked at."""
+    held = 0
+    for k, line in enumerate(lines[:LINES]):
+        held += len(line)
+        if held > CHARACTERS and k >= LEAST:
+            return lines[:k]
+    return lines[:LINES]
+
+
+def find_table(lines: list[str], delimiter: str | None, absent: Collection[str]) -> Table | None:
+    """Return where the table of these first lines begins; None where no line looks like a row.
+
+    Args:
+        lines: the first lines of a log.
+        delimiter: what cuts them; None to find it.
+        absent: words (lower case) that stand for a cell without a value.
+    """
+    lines = enough(lines)
+    best: tuple[tuple[float, ...], Table] | None = None
+    for mark in [delimiter] if delimiter else _marks(lines):
+        found = [_line(line, mark, absent) for line in lines]
+        table = _table(found, mark)
+        if table is not None:
+            rows = [line.cells for line in found[table.first :] if line.kind == "row" and _full(line, table.width)]
+            numbers = sum(is_value(cell) for row in rows[:100] for cell in row)
+            filled = sum(1 for row in rows[:100] for cell in row if cell)
+            score = (len(rows), table.names is not None, numbers, numbers / max(filled, 1))
+            if best is None or score > best[0]:
+                best = (score, table)
+    return None if best is None else best[1]
+
+
+def _marks(lines: list[str]) -> list[str]:
+    """What may cut these lines, the likelier first."""
+    marks = [mark for mark in DELIMITERS if any(mark in line for line in lines)]
+    return marks + [" "] * any(" " in line.strip() for line in lines) or [","]
+
+
+def _line(line: str, mark: str, absent: Collection[str]) -> _Line:
+    if not line.strip():
+        return _Line([], "blank")
+    if line.lstrip()[0] in "#%":
+        return _Line(split(line.lstrip("#% \t"), mark), "comment")
+    cells = split(line, mark)
+    filled = [cell for cell in cells if cell.lower() not in absent and any(c.isalnum() for c in cell)]
+    values = sum(map(is_value, filled))
+    if not filled:
+        return _Line(cells, "row" if any(cells) and len(cells) > 1 else "blank")
+    return _Line(cells, "row" if values and 2 * values >= len(filled) else "text")
+
+
+def _width(lines: list[_Line]) -> int:
+    """Cells of a row: of the widths that many rows have the largest, without columns that are empty in all of them."""
+    counts = Counter(len(line.cells) for line in lines if line.kind == "row")
+    most, enough_rows = max(counts.values()), max(2.0, _COMMON * counts.total())
+    many = {width for width, count in counts.items() if count == most or count >= enough_rows}
+    rows = [line.cells for line in lines if line.kind == "row" and len(line.cells) in many]
+    return max(1, *(len(trimmed(cells)) for cells in rows))
+
+
+def _shorter(lines: list[_Line], width: int) -> set[int]:
+    """The widths of rows that leave out empty cells at the end: those of many rows of a table."""
+    counts = Counter(len(line.cells) for line in lines if line.kind == "row")
+    least = max(2.0, _COMMON * counts.total())
+    return {w for w, count in counts.items() if 1 < w < width and count >= least}
+
+
+def _full(line: _Line, width: int) -> bool:
+    """Whether a row has cells of its own in no column beyond the table's, and is not cut."""
+    return len(line.cells) >= width >= len(trimmed(line.cells))
+
+
+def _table(lines: list[_Line], mark: str) -> Table | None:
+    if not any(line.kind == "row" for line in lines):
+        return None
+    width = _width(lines)
+    rows = [k for k, line in enumerate(lines) if line.kind == "row" and _full(line, width)]
+    if not rows:
+        return None
+    begin = [_first_of(lines, k, width) for k in rows if k == rows[0] or _opens(lines, k)]
+    starts = {k: _names_above(lines, k, width) for k in begin}
+    counts = {k: sum(1 for row in rows if k <= row < _end(starts, k)) for k in starts}
+    first = max(counts, key=lambda k: (counts[k], starts[k] is not None))
+    fewest = min(_shorter(lines[first : _end(starts, first)], width), default=width)
+    return _head(lines, first, width, fewest, mark, [k for k in rows if k >= first])
+
+
+def _first_of(lines: list[_Line], k: int, width: int) -> int:
+    """The first of the rows that lead to a row: those above it may leave out empty cells at the end."""
+    short = _shorter(lines[k:], width) if k and lines[k - 1].kind == "row" else set()
+    while k and lines[k - 1].kind == "row" and len(lines[k - 1].cells) in short:
+        k -= 1
+    return k
+
+
+def _opens(lines: list[_Line], k: int) -> bool:
+    """Whether a row is the first below a line of text, blank lines and comments apart."""
+    above = k - 1
+    while above >= 0 and lines[above].kind in ("blank", "comment"):
+        above -= 1
+    return above < 0 or lines[above].kind == "text"
+
+
+def _end(starts: dict[int, int | None], k: int) -> int:
+    """The next row that opens a table with names of its own."""
+    return min((other for other, names in starts.items() if other > k and names is not None), default=10**9)
+
+
+def _names_above(lines: list[_Line], first: int, width: int) -> int | None:
+    """The line of names above a row: the last line of text that is as wide as the rows, not one of units."""
+    k = first - 1
+    seen = None
+    while k >= 0 and lines[k].kind != "row":
+        if lines[k].kind == "text" and _wide(lines[k].cells, width):
+            seen = k if seen is None else seen
+            if not _units_below(lines[k].cells, lines, k, width):
+                return k
+        k -= 1
+    return seen
+
+
+def _wide(cells: list[str], width: int) -> bool:
+    """Whether a line has names for rows of some width; cells beyond the names are empty, as `_head` checks."""
+    count = len(trimmed(cells))
+    spare = _SPARE if width > _SPARE else 1
+    return len(cells) == width or max(min(width, 2), width // 2) <= count <= width + spare
+
+
+def _units_below(cells: list[str], lines: list[_Line], k: int, width: int) -> bool:
+    """Whether a line holds units (or types) of the names above it."""
+    filled = [cell for cell in cells if cell]
+    if not filled:
+        return False
+    if all(is_unit(cell) for cell in filled):
+        return True
+    above = trimmed(lines[k - 1].cells) if k and lines[k - 1].kind == "text" else []
+    named = len(above) == len(trimmed(cells)) and all(above) and len(set(above)) == len(above)
+    return named and len(set(filled)) < len(filled)
+
+
+def _head(lines: list[_Line], first: int, width: int, fewest: int, mark: str, rows: list[int]) -> Table:
+    """The table whose first row is known; `rows` are those of full width."""
+    bare = Table(mark, None, first, None, width, fewest)
+    header = _names_above(lines, first, width)
+    if header is None:
+        return _bare_head(lines, bare, rows)
+    own = trimmed(lines[header].cells)
+    comment = _comment_above(lines, header, width) if all(map(is_unit, own)) else None
+    if comment is not None:  # as numpy writes it, with a line of units below
+        own, header = trimmed(lines[comment].cells), comment
+    if len(own) < width:  # the last column has no name, or names are missing
+        own = lines[header].cells[:width]
+        if len(own) != width:
+            return replace(bare, clash=header)
+    names = _grouped(own, lines[header - 1] if header else None)
+    units: dict[str, str] = {}
+    for line in lines[header + 1 : first]:
+        if line.kind == "text":
+            units |= {name: unit_of(cell) for name, cell in zip(names, line.cells) if cell and is_unit(cell)}
+    return Table(mark, names, first, header, width, fewest, units)
+
+
+def _bare_head(lines: list[_Line], bare: Table, rows: list[int]) -> Table:
+    """The table above whose rows no line of text is: a comment or the first row may name its columns."""
+    first, width = bare.first, bare.width
+    comment = _comment_above(lines, first, width)
+    if comment is not None:
+        return replace(bare, names=trimmed(lines[comment].cells), header=comment)
+    below = [lines[k].cells[:width] for k in rows]
+    if len(below) > 1 and rows[0] == first and (_is_names(below[0], below[1 : 1 + _LOOKED]) or _counts(below)):
+        return replace(bare, names=trimmed(below[0]), first=rows[1], header=first)
+    above = lines[first - 1] if first else None
+    clash = first - 1 if above and above.kind == "text" and len(trimmed(above.cells)) > 1 else None
+    return replace(bare, clash=clash)
+
+
+def _counts(rows: list[list[str]]) -> bool:
+    """Whether the first row is the numbers of the columns, as pandas writes them, and the next one is not like it."""
+    count = [str(k) for k in range(len(rows[0]))]
+    return len(count) > 2 and rows[0] == count and any("." in cell for cell in rows[1])
+
+
+def _comment_above(lines: list[_Line], first: int, width: int) -> int | None:
+    """The last comment above a row, where it names its columns."""
+    comments = [k for k in range(first - 1, -1, -1) if lines[k].kind == "comment"]
+    comment = next((k for k in comments if not all(map(is_unit, trimmed(lines[k].cells)))), None)
+    if comment is None or len(trimmed(lines[comment].cells)) != width or all(map(is_value, lines[comment].cells)):
+        return None
+    return comment
+
+
+def _is_names(line: list[str], below: list[list[str]]) -> bool:
+    """Whether a line with numbers in it holds names: text where the rows below have numbers."""
+    for column, cell in enumerate(line):
+        if cell and any(c.isalpha() for c in cell) and not is_value(cell):
+            under = [row[column] for row in below if column < len(row) and row[column]]
+            if under and sum(map(is_value, under)) > 0.5 * len(under):
+                return True
+    return False
+
+
+def _grouped(names: list[str], above: _Line | None) -> list[str]:
+    """Names with the group that stands above them: `tip` over `X, Y, Z` gives `tip.X`, `tip.Y`, `tip.Z`.
+
+    A group stands above its first column; the line begins with an empty cell, or the names alone are not distinct.
+    """
+    top = [] if above is None or above.kind != "text" else trimmed(above.cells)
+    if above is None or not top or len(top) > len(names):
+        return names
+    filled = [name for name in names if name]
+    if above.cells[0] and (len(set(filled)) == len(filled) or 2 * len(top) <= len(names)):
+        return names
+    groups, group = [], ""
+    for k in range(len(names)):
+        group = (above.cells[k] if k < len(above.cells) else "") or group
+        groups.append(group)
+    joined = [f"{group}.{name}" if group and name else name or group for group, name in zip(groups, names)]
+    return joined if len(set(joined)) >= len(set(names)) else names
+
+
+def widths_of(lines: list[str], mark: str) -> str:
+    """Return the widths of the first lines for a message: `1, 5, 6 …`."""
+    counts = [len(split(line, mark)) for line in lines if line.strip()]
+    shown = list(dict.fromkeys(counts))
+    return ", ".join(map(str, shown[:5])) + (" …" if len(shown) > 5 else "")

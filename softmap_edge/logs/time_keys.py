@@ -1,0 +1,109 @@
+"""The `time` of a mapping: which columns hold time, in which unit, and what to do where it does not increase."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from softmap_edge.errors import RunError
+from softmap_edge.logs.measured import Column
+from softmap_edge.logs.time_text import ORDERS
+from softmap_edge.toml_table import TomlTable, shown
+
+NO_TIME = "none"  # the `time` of a log without time: its rows are counted
+ROW_S = 0.05  # s for each row of such a log: the rate at which a model is learned, so that no row is left out
+TIME = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0, "d": 86400.0}  # → s
+
+
+@dataclass(frozen=True)
+class Clock:
+    """The time of a log: columns in units, a counter at a rate, the row number at a rate, or none.
+
+    Attributes:
+        column: the column of time, or of the seconds; None for the number of the row.
+        seconds: s of one unit, or of one count.
+        offset_s: added to every time.
+        repeated: what happens to rows whose time does not increase.
+        timeless: whether the log has no time.
+        date_order: `dmy` or `mdy` of dates such as 5/7/2031; None where the rows decide.
+        more: columns that are added, with s of one unit of each: nanoseconds to seconds, a time of day to a date.
+        jumps: `mend` to count on over a roll-over, and to take out one step of a clock that was set.
+        assumed: whether the rate is an assumption.
+    """
+
+    column: Column | None
+    seconds: float
+    offset_s: float = 0.0
+    repeated: str = "refuse"
+    timeless: bool = False
+    date_order: str | None = None
+    more: tuple[tuple[Column, float], ...] = ()
+    jumps: str = "refuse"
+    assumed: bool = False
+
+    @property
+    def columns(self) -> list[Column]:
+        """The columns that time is made of."""
+        return [*([] if self.column is None else [self.column]), *(column for column, _ in self.more)]
+
+
+def clock_of(log: TomlTable) -> Clock:
+    """Return the time that a `[[log]]` declares.
+
+    Raises:
+        RunError: it declares none, or a key is wrong.
+    """
+    if log.values.get("time") == NO_TIME:
+        log.get("time", (str,))
+        return Clock(None, ROW_S, timeless=True)
+    time = log.table("time")
+    rate = time.number("rate_hz", None, 1e-6, 1e7)
+    several = _columns(time)
+    one = time.get("column", (str, int))
+    if one is not None and several:
+        raise RunError(f"{time.where}: column and columns; give one of them")
+    if one is None and not several and rate is None:
+        raise RunError(
+            f"{time.where}: needs `column`, `rate_hz`, or both (a counter), or `columns`; say where the log has its "
+            f'time, or time = "{NO_TIME}" if it has none'
+        )
+    if several and rate is not None:
+        raise RunError(f"{time.where}: columns and rate_hz; leave rate_hz out, or give one column, a counter")
+    unit = time.choice("unit", tuple(TIME), "s")
+    clock = Clock(
+        column=several[0][0] if several else one,
+        seconds=several[0][1] if several else TIME[unit] if rate is None else 1.0 / rate,
+        offset_s=time.number("offset_s", 0.0) or 0.0,
+        repeated=time.choice("repeated", ("refuse", "drop", "spread"), "refuse"),
+        date_order=_date_order(time),
+        more=tuple(several[1:]),
+        jumps=time.choice("jumps", ("refuse", "mend"), "refuse"),
+        assumed=bool(time.get("assumed", (bool,), False)),
+    )
+    time.done()
+    return clock
+
+
+def _date_order(time: TomlTable) -> str | None:
+    if time.get("date_order", (str,)) is None:
+        return None
+    return time.choice("date_order", ORDERS, ORDERS[0])
+
+
+def _columns(time: TomlTable) -> list[tuple[Column, float]]:
+    """The columns that are added up to a time, with s of one unit of each."""
+    listed = time.get("columns", (list,))
+    units = time.get("units", (list,))
+    if listed is None:
+        if units is not None:
+            raise RunError(f"{time.where}: units without columns; give both, or `column` and `unit`")
+        return []
+    if len(listed) != 2 or not all(isinstance(c, str | int) and not isinstance(c, bool) for c in listed):
+        raise RunError(
+            f'{time.where}: columns = {shown(listed)}, expected two: ["sec", "nanosec"], or a date and a time of day'
+        )
+    units = ["s", "ns"] if units is None else units
+    if len(units) != 2 or not all(isinstance(unit, str) and unit in TIME for unit in units):
+        raise RunError(f"{time.where}: units = {shown(units)}, expected two of {', '.join(TIME)}")
+    if "unit" in time.values:
+        raise RunError(f'{time.where}: unit with columns; give units = ["s", "ns"]')
+    return [(column, TIME[unit]) for column, unit in zip(listed, units)]

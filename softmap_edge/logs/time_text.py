@@ -1,0 +1,232 @@
+"""Reads time as people write it: ISO 8601, local dates, times of day; as seconds.
+
+| form | example | seconds since |
+|---|---|---|
+| `ymd` | `2031-05-07T10:15:00.050Z`, `2031/05/07 10:15:00,05 +0200`, `20310507T101500` | 1970, of UTC or local time |
+| `local` | `07.05.2031 10:15:00`, `5/7/2031 10:15:00 AM` | 1970 |
+| `named` | `07-May-2031 10:15:00`, `May 7, 2031 10:15:00` | 1970 |
+| `day` | `10:15:00.050`, `15:00.05` (minutes and seconds) | midnight, or the full hour |
+
+Days with dots are day.month.year. Others are read in both orders; a value above 12 or the sequence of the rows decides
+(`TimeText.settle`). A time of day that falls by most of its period has passed midnight and counts on. Pinned by
+tests/test_time_text.py.
+"""
+
+from __future__ import annotations
+
+import datetime
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+ORDERS = ("dmy", "mdy")
+DAY, HOUR = 86400.0, 3600.0
+_LONGEST = 48  # characters of a time
+_MOST = 0.9  # of the cells: if so many are times, the others are faults of the file
+_CLEARER = 5.0  # an order of day and month whose largest step is so many times smaller is the right one
+_FRACTION = r"(?:[.,](?P<f>\d{1,12})|:(?P<ms>\d{3}))?"  # two digits after a colon are frames of a film, no fraction
+_CLOCK = rf"(?P<h>\d{{1,2}}):(?P<mi>\d{{2}})(?::(?P<s>\d{{2}}){_FRACTION})?(?: ?(?P<half>[AaPp])\.?[Mm]\.?)?"
+_ZONE = r"(?: ?(?P<zone>Z|z|UTC|GMT|[+-]\d{2}(?::?\d{2})?))?"
+_MONTHS = ("jan", "feb", "mar", "apr", "may", "jun", "jul", "aug", "sep", "oct", "nov", "dec")
+_NAME = r"(?P<name>[A-Za-z]{3,9})\.?"
+_YEAR = r"(?P<y>\d{4}|\d{2})"
+_REST = rf"(?:,? {{1,3}}|[T_])?(?:{_CLOCK})?{_ZONE}"  # the time of day, where there is one
+_TIGHT = r"(?P<h>\d{2}):?(?P<mi>\d{2}):?(?P<s>\d{2})(?:[.,](?P<f>\d{1,12}))?"
+_FORMS: dict[str, tuple[re.Pattern[str], ...]] = {
+    "ymd": (
+        re.compile(rf"(?P<y>\d{{4}})(?P<sep>[-/.])(?P<b>\d{{1,2}})(?P=sep)(?P<a>\d{{1,2}}){_REST}"),
+        re.compile(rf"(?P<y>\d{{4}})(?P<b>\d{{2}})(?P<a>\d{{2}})[T_ ]{_TIGHT}{_ZONE}"),
+    ),
+    "local": (re.compile(rf"(?P<a>\d{{1,2}})(?P<sep>[-/.])(?P<b>\d{{1,2}})(?P=sep){_YEAR}{_REST}"),),
+    "named": (
+        re.compile(rf"(?:[A-Za-z]{{3}},? )?(?P<a>\d{{1,2}})[-/. ]{_NAME}[-/. ]{_YEAR}{_REST}"),
+        re.compile(rf"(?:[A-Za-z]{{3}},? )?{_NAME} {{1,2}}(?P<a>\d{{1,2}}), ?{_YEAR}{_REST}"),
+    ),
+    "day": (re.compile(_CLOCK), re.compile(r"(?P<mi>\d{1,2}):(?P<s>\d{2})[.,](?P<f>\d{1,12})")),
+}  # day and month are `a` and `b`, or `b` and `a`
+
+
+class TimeTextError(ValueError):
+    """A time that cannot be read; the message is a part of a sentence."""
+
+
+@dataclass(frozen=True)
+class TimeText:
+    """How the times of one column are written.
+
+    Attributes:
+        form: `ymd`, `local`, `named` or `day`.
+        order: `dmy` or `mdy` of local dates; None where the rows decide.
+        period: s after which a time of day begins again; 0 of a date.
+    """
+
+    form: str
+    order: str | None = None
+    period: float = 0.0
+
+    def parse(self, cells: Sequence[str]) -> Array:
+        """Return the seconds (rows, 2) of times in both orders of day and month; an empty cell is NaN.
+
+        Raises:
+            TimeTextError: a cell is no time of this form; `args[1]` is its row.
+        """
+        both = np.full((len(cells), 2), np.nan)
+        known: dict[tuple[str, ...], tuple[float, float]] = {}
+        for row, cell in enumerate(cells):
+            if cell.strip():
+                found = self._match(cell.strip())
+                if found is None:
+                    raise TimeTextError(f"'{cell[:40]}' is no {self.words()}", row)
+                both[row] = _seconds(found, known)
+                if self.form != "local":
+                    both[row, 1] = both[row, 0]
+                if np.isnan(both[row]).all():
+                    raise TimeTextError(f"'{cell[:40]}' is no date of the calendar", row)
+        return both
+
+    def _match(self, cell: str) -> re.Match[str] | None:
+        if len(cell) > _LONGEST:
+            return None
+        return next((found for form in _FORMS[self.form] if (found := form.fullmatch(cell))), None)
+
+    def settle(self, both: Array) -> tuple[Array, str | None]:
+        """Return the seconds (rows,) of both orders' (rows, 2) in the right one, and a note on how it was chosen.
+
+        Raises:
+            TimeTextError: the rows do not decide between day/month and month/day.
+        """
+        if self.form == "day":
+            return counted_on(both[:, 0], self.period)
+        if self.form != "local" or self.order is not None:
+            column = 1 if self.order == "mdy" else 0
+            if np.isnan(both[:, column]).any() and not np.isnan(both).all(axis=1).any():
+                raise TimeTextError(f"the dates are no {_WORDS[self.order or 'dmy']}")
+            return both[:, column], None
+        return _ordered(both)
+
+    def words(self) -> str:
+        """Return what this form is called."""
+        names = {"ymd": "date (year-month-day)", "local": "date", "named": "date with the name of a month"}
+        return names.get(self.form, "time of day (hours:minutes:seconds)")
+
+
+_WORDS = {"dmy": "day/month/year", "mdy": "month/day/year"}
+
+
+def is_time(cell: str) -> bool:
+    """Return whether a cell is a date or a time of day."""
+    return form_of(cell) is not None
+
+
+def form_of(cell: str) -> str | None:
+    """Return the form in which a time is written; None where a cell is none."""
+    cell = cell.strip()
+    if not 4 <= len(cell) <= _LONGEST or not any(map(cell.count, ":-/.T ")) or not any(c.isdigit() for c in cell):
+        return None
+    return next((name for name, forms in _FORMS.items() if any(form.fullmatch(cell) for form in forms)), None)
+
+
+def time_text_of(cells: Sequence[str], order: str | None = None) -> TimeText | None:
+    """Return how the times of a column are written, from its first cells; None where they are no times.
+
+    Args:
+        cells: the first cells; empty ones do not count, and one in ten may be something else.
+        order: `dmy` or `mdy` of local dates, where a mapping gives it.
+    """
+    filled = [cell.strip() for cell in cells if cell.strip()]
+    forms = [form_of(cell) for cell in filled]
+    form = max(set(forms), key=forms.count, default=None)
+    if form is None or forms.count(form) < _MOST * len(forms):
+        return None
+    filled = [cell for cell, found in zip(filled, forms) if found == form]
+    if form == "local" and order is None and all("." in cell.split(" ")[0] for cell in filled):
+        order = "dmy"
+    hours = form == "day" and all(_FORMS["day"][0].fullmatch(cell) for cell in filled)
+    return TimeText(form, order if form == "local" else None, 0.0 if form != "day" else DAY if hours else HOUR)
+
+
+def counted_on(seconds: Array, period: float) -> tuple[Array, str | None]:
+    """Return times (rows,) of a day counted on where they fall by more than half a `period` (s), and a note."""
+    known = np.flatnonzero(np.isfinite(seconds))
+    falls = np.diff(seconds[known]) < -0.5 * period
+    if not falls.any():
+        return seconds, None
+    turns = np.zeros(len(seconds))
+    turns[known[1:]] = falls
+    what = "midnight" if period == DAY else "the full hour"
+    return seconds + period * np.cumsum(turns), f"the time passes {what} {int(falls.sum())} times and counts on"
+
+
+def _ordered(both: Array) -> tuple[Array, str | None]:
+    """Of two orders of day and month the one that the rows allow."""
+    there = ~np.isnan(both).all(axis=1)
+    possible = [not np.isnan(both[there, k]).any() for k in (0, 1)]
+    if not any(possible):
+        raise TimeTextError("the dates are neither all day/month/year nor all month/day/year")
+    if not all(possible):
+        k = possible.index(True)
+        return both[:, k], f"the dates are {_WORDS[ORDERS[k]]}"
+    largest = [float(np.abs(np.diff(both[there, k])).max(initial=0.0)) for k in (0, 1)]
+    if not np.ptp(both[there, 0] - both[there, 1]):  # one date
+        note = "the date may be day/month or month/day; the time within the log is the same (time.date_order sets it)"
+        return both[:, 0], None if np.array_equal(both[there, 0], both[there, 1]) else note
+    k = int(np.argmin(largest))
+    if largest[1 - k] < _CLEARER * largest[k]:
+        raise TimeTextError("the dates can be day/month/year or month/day/year")
+    return both[:, k], f"the dates are {_WORDS[ORDERS[k]]}: in the other order they leap"
+
+
+def _seconds(found: re.Match[str], known: dict[tuple[str, ...], tuple[float, float]]) -> tuple[float, float]:
+    """Seconds of one time in both orders of day and month; NaN where the calendar has no such day."""
+    part = found.groupdict()
+    of_day = _of_day(part)
+    if part.get("y") is None:
+        return of_day, of_day
+    key = (part["a"], part.get("b") or part["name"], part["y"], "name" if part.get("name") else "")
+    if key not in known:
+        if len(known) > 10_000:
+            known.clear()
+        known[key] = _days(*key)
+    zone = _zone(part.get("zone"))
+    return known[key][0] * DAY + of_day - zone, known[key][1] * DAY + of_day - zone
+
+
+def _of_day(part: dict[str, str | None]) -> float:
+    hours, half = int(part.get("h") or 0), (part.get("half") or "").lower()
+    if half:
+        hours = hours % 12 + (12 if half == "p" else 0)
+    minutes, seconds = int(part.get("mi") or 0), int(part.get("s") or 0)
+    if hours > 24 or minutes > 59 or seconds > 60:
+        return np.nan
+    fraction = part.get("f") or part.get("ms")
+    return 3600.0 * hours + 60.0 * minutes + seconds + (float("0." + fraction) if fraction else 0.0)
+
+
+def _days(first: str, second: str, year: str, named: str) -> tuple[float, float]:
+    """Days since 1970 of two numbers as day and month, and as month and day."""
+    y = int(year) + (2000 if len(year) == 2 else 0)
+    if named:
+        month = next((k + 1 for k, name in enumerate(_MONTHS) if second[:3].lower() == name), 0)
+        day = _day(y, month, int(first))
+        return day, day
+    one, two = int(first), int(second)
+    return _day(y, two, one), _day(y, one, two)
+
+
+def _day(year: int, month: int, day: int) -> float:
+    try:
+        return float(datetime.date(year, month, day).toordinal() - 719163)
+    except ValueError:
+        return np.nan
+
+
+def _zone(text: str | None) -> float:
+    """The offset of a zone from UTC in s."""
+    if text is None or text[0] not in "+-":
+        return 0.0
+    digits = text[1:].replace(":", "").ljust(4, "0")
+    return (-1.0 if text[0] == "-" else 1.0) * (3600.0 * int(digits[:2]) + 60.0 * int(digits[2:]))
