@@ -205,7 +205,7 @@ def test_commands_between_rows_and_by_source():
     assert dataclasses.replace(run, present=None).commands() is not None
     with pytest.raises(RunError, match="no encoder positions"):
         dataclasses.replace(run, present=None).commands("present")
-    with pytest.raises(RunError, match="ticks only"):
+    with pytest.raises(RunError, match="holds ticks"):
         Run(t=[0.0, 1.0], ticks=np.zeros((2, 1), int)).commands()
 
 

@@ -23,6 +23,7 @@ from softmap_edge.errors import RunError
 from softmap_edge.logs.readers.columns import Array, Cells
 from softmap_edge.logs.time_keys import TIME, Clock
 from softmap_edge.logs.time_text import DAY, HOUR
+from softmap_edge.time_text import differing
 
 FEW = 0.05  # of the rows: the most that may be left out without a doubt
 _REGULAR = 0.2  # of the usual step: what a clock with jitter stays within
@@ -258,9 +259,10 @@ def _refuse_falls(path: Path, where: str, t: Array, cells: Cells, row: NDArray[n
     jump = find_jump(t, clock)
     at = int(np.argmax(late)) + 1 if jump is None else int(jump.rows[0])
     back = step[at - 1] < 0
+    now, before = differing(t[at], t[at - 1])
     raise RunError(
         f"{path}: time {'goes backwards' if back else 'stands still'} at row {row[at]} ({where} {cells.lines[at]}: "
-        f"{t[at]:.10g} s after {t[at - 1]:.10g} s), {int(late.sum())} such rows; {_way_out(t, row, at, jump, back)}"
+        f"{now} s after {before} s), {int(late.sum())} such rows; {_way_out(t, row, at, jump, back)}"
     )
 
 
