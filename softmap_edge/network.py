@@ -30,6 +30,7 @@ Floats = NDArray[np.float64]
 Arrays = dict[str, NDArray[Any]]
 
 MOST_BYTES = 64 << 20  # the published network has 7 MB
+BATCH = 64  # commands that onnxruntime is given at a time, so that a wide graph needs little memory
 CHILD_MB, CHILD_S = 1000, 60.0  # limits of onnxruntime in a child process
 CHECKED = 32  # commands at which both implementations are compared
 AGREE_MM = 1e-3  # single precision of 100 mm through five layers leaves 1e-4
@@ -165,13 +166,14 @@ def run_elsewhere(content: bytes, commands: Floats) -> Floats:
     try:
         session = onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
         (given,) = session.get_inputs()
-        (found,) = session.run(None, {given.name: commands.astype(np.float32)})
+        parts = [commands[k : k + BATCH].astype(np.float32) for k in range(0, len(commands), BATCH)]
+        found = [session.run(None, {given.name: part})[0] for part in parts]
     # Its errors have no common class beside Exception.
     except Exception as fault:
         if "allocate" in str(fault) or isinstance(fault, MemoryError):
             raise BundleError(f"it needs more than {CHILD_MB} MB of memory; use a smaller graph") from None
         raise BundleError(f"onnxruntime cannot run the network ({brief(fault)}); export it again") from None
-    return np.asarray(found, np.float64)
+    return np.concatenate(found).astype(np.float64)
 
 
 def tabulated(network: _core.Network, command_range: Floats) -> _core.Network | _core.Table:
