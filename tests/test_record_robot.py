@@ -23,6 +23,7 @@ from softmap_edge.cli import main
 from softmap_edge.emulated.finger import emulated_bench
 from softmap_edge.experiment.blocks import BLOCKS, chosen, plan
 from softmap_edge.experiment.command_file import write_commands
+from softmap_edge.experiment.kept import SEEN
 from softmap_edge.experiment.pace import ANSWER, BEHIND, SHARE, SPAN, STILL, pace, servos_still, view_still
 from softmap_edge.experiment.play import Player, merged
 from softmap_edge.protocol import Limits, Protocol
@@ -301,8 +302,8 @@ def test_interrupted_is_kept(tmp_path, commands):
     out = tmp_path / "run.npz"
     more = ["--emulated", "--out", str(out), "--record", str(tmp_path / "loop.mcap")]
     with interruptible("record", str(commands), *more) as process:
-        until(lambda: (tmp_path / "loop.mcap").exists(), 60.0)
-        time.sleep(9.0)
+        seen = out.with_suffix(SEEN)
+        until(lambda: seen.exists() and seen.read_bytes().count(b"\n") > 10, 60.0)
         process.send_signal(signal.SIGINT)
         told, failed = process.communicate(timeout=60)
     assert process.returncode == 130, failed

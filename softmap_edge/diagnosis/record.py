@@ -103,6 +103,7 @@ class Record:
         self._leaning = np.asarray(model.run_leaning(run), float)
         self.block: NDArray[Any] | None = run.block
         self.roll_seen = not laid(run)
+        self.across = unmeasured_parameters(run)  # of a run whose markers lie in a plane
 
     @property
     def begins(self) -> NDArray[np.intp]:
@@ -165,7 +166,7 @@ class Record:
     def untold(self) -> tuple[str, ...]:
         """Parameters that are not fitted, because nothing seen here determines them or they are known."""
         rolls = () if self.roll_seen else ROLLS
-        return (*rolls, *unmeasured_parameters(self.run), *(() if self.spool is None else (RADIUS,)))
+        return (*rolls, *self.across, *(() if self.spool is None else (RADIUS,)))
 
     @cached_property
     def spool(self) -> Spool | None:

@@ -66,6 +66,7 @@ class Records(Record):
         self.command = np.concatenate([part.command for part in parts])
         self.positions, self.section = parts[0].positions, parts[0].section
         self.roll_seen = all(part.roll_seen for part in parts)
+        self.across = tuple(dict.fromkeys(name for part in parts for name in part.across))
         if parts[0].static is not None:
             self.static = np.concatenate([part.static for part in parts])
         weight = [part.frames / max(1, self.frames) for part in parts]

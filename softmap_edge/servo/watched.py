@@ -45,6 +45,7 @@ class Watched:
     _stood: NDArray[np.float64]
     _record: Path | None
     _broken: str | None = None  # why the recording broke off
+    _recorded = False  # whether the recording was looked at after the loop had ended
     _mark: Path | None = None  # of the session
 
     @property
@@ -76,10 +77,11 @@ class Watched:
     @property
     def unrecorded(self) -> str | None:
         """Why the recording ended before the loop did, a full disk perhaps; None while it goes on, or is complete."""
-        if self._record is not None and self._broken is None:
+        if self._record is not None and self._broken is None and not self._recorded:
             ended = bool(self._end) and self._process is None
             lost = int(self._end.get("lost", 0)) if ended else 0
             self._broken = broken_recording(self._record, self._last.get("unrecorded"), lost, ended)
+            self._recorded = ended
         return self._broken
 
     def check_recorded(self) -> None:
