@@ -1,9 +1,9 @@
 """The process of the control loop: Rust alone once it runs. `python -m softmap_edge.servo.loop ORDERS REPORTS < setup`.
 
 ORDERS and REPORTS are descriptors of pipes; the setup is a JSON document on standard input (`Controller`). What cannot
-be started is told as a report `{"error": …}`. That the servos are set up and that home is proved is asked here, as late
-as can be: a servo that loses its turns afterwards is seen by the guard. What a start writes anew (a profile, gains) is
-told as a report `{"mended": […]}`. Where a fault made home unknown, its proof is taken from the servos at the
+be started is reported as `{"error": …}`. Set-up and home of the servos are checked here, as late as possible: the guard
+detects a servo that loses its turns afterwards. Registers that a start rewrites (a profile, gains) are reported as
+`{"mended": […]}`. Where a fault made home unknown, its proof is taken from the servos at the
 end. Pinned by tests/test_controller.py and tests/test_bad_input.py.
 """
 
