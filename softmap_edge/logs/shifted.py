@@ -4,7 +4,7 @@ Trackers without labels write the markers that they see one after the other. If 
 and the last column is empty. In such a log the markers that are seen always fill the first columns. In a frame with
 all markers the columns are right. From it, each next frame is matched in order, with the least total distance to the
 last places; a marker counts as found in another column if it moved by at most `CLEAR` of the distance between the two.
-Limit: frames so far apart that markers move farther are not judged. Pinned by tests/test_shifted.py.
+Limit: frames so far apart that markers move farther are not tested. Pinned by tests/test_shifted.py.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ class Shifted:
         return right
 
     def line(self, labels: Sequence[str], remedy: str) -> str:
-        """Return the sentence that says so."""
+        """Return the sentence that reports the shifted columns."""
         wrong = self.wrong
         columns = np.flatnonzero(wrong.any(axis=0))
         named = ", ".join(labels[m] for m in columns[:_TOLD])
