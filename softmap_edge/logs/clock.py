@@ -101,7 +101,7 @@ def times_of(path: Path, where: str, cells: Cells, t: Array, clock: Clock) -> Ti
     if clock.repeated == "drop" and len(t) > 1:
         fresh = increasing(t)
         if not fresh.all():
-            _tell_dropped(t, fresh, row, clock, notes, doubts)
+            _report_dropped(t, fresh, row, clock, notes, doubts)
             t, cells, row = t[fresh], kept(cells, fresh), row[fresh]
     _refuse_falls(path, where, t, cells, row, clock)
     if clock.repeated == "spread" and (shared := int((np.diff(t) == 0).sum())):
@@ -142,7 +142,7 @@ def _written_twice(t: Array, cells: Cells) -> NDArray[np.bool_]:
     return again
 
 
-def _tell_dropped(
+def _report_dropped(
     t: Array, fresh: NDArray[np.bool_], row: NDArray[np.int64], clock: Clock, notes: list[str], doubts: list[str]
 ) -> None:
     lost, share = int((~fresh).sum()), float((~fresh).mean())

@@ -65,7 +65,7 @@ def time_of(sheet: Sheet, alone: bool = True) -> TimeFound:
         alone: whether no other log is joined to it by time.
     """
     single = _single(sheet)
-    pair = _date_and_day(sheet) or _whole_and_fraction(sheet)
+    pair = _date_and_day(sheet) or _seconds_and_fraction(sheet)
     if pair is not None and (single is None or single in pair[0]):
         return _of_pair(sheet, *pair)
     if single is not None:
@@ -254,7 +254,7 @@ def _date_and_day(sheet: Sheet) -> tuple[tuple[str, str], tuple[str, str], str] 
     return (dates[0], days[0]), ("s", "s"), f"'{dates[0]}' holds dates and '{days[0]}' times of day"
 
 
-def _whole_and_fraction(sheet: Sheet) -> tuple[tuple[str, str], tuple[str, str], str] | None:
+def _seconds_and_fraction(sheet: Sheet) -> tuple[tuple[str, str], tuple[str, str], str] | None:
     """Full seconds, and the fraction of a second in another column."""
     for full in sheet.names:
         stem = _WHOLE.sub("", full)

@@ -40,7 +40,7 @@ MOST = 3  # repeated places of one marker that are tested
 MARKS = 10  # places of three equal numbers, likewise
 MANY = 64  # points of a frame: of more, such as vertices, only three equal numbers are looked at
 _SAMPLE = 300  # places between which distances are taken
-_TOLD = 5  # markers that are named one by one
+_LISTED = 5  # markers that are named one by one
 
 
 @dataclass(frozen=True)
@@ -84,8 +84,8 @@ class Lost:
 
 def _named(counts: list[tuple[str, int]]) -> str:
     counts = sorted(counts, key=lambda pair: -pair[1])
-    more = f" and {len(counts) - _TOLD} more" if len(counts) > _TOLD else ""
-    return ", ".join(f"{name} {count}" for name, count in counts[:_TOLD]) + more
+    more = f" and {len(counts) - _LISTED} more" if len(counts) > _LISTED else ""
+    return ", ".join(f"{name} {count}" for name, count in counts[:_LISTED]) + more
 
 
 def not_seen(points: Array, commands: Array | None = None) -> Lost:

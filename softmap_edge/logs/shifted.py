@@ -20,7 +20,7 @@ Whole = NDArray[np.intp]
 
 CLEAR = 0.3  # of the distance between two markers: what a marker may have moved when it is found in another column
 MOST = 64  # markers of a list: matching takes their square
-_TOLD = 5
+_LISTED = 5
 
 
 @dataclass(frozen=True)
@@ -46,8 +46,8 @@ class Shifted:
         """Return the sentence that reports the shifted columns."""
         wrong = self.wrong
         columns = np.flatnonzero(wrong.any(axis=0))
-        named = ", ".join(labels[m] for m in columns[:_TOLD])
-        named += f" and {len(columns) - _TOLD} more" if len(columns) > _TOLD else ""
+        named = ", ".join(labels[m] for m in columns[:_LISTED])
+        named += f" and {len(columns) - _LISTED} more" if len(columns) > _LISTED else ""
         return (
             f"{int(wrong.any(axis=1).sum())} of {len(wrong)} frames list fewer markers, and a column after the lost "
             f"one shows the next marker: {named}; {remedy}"

@@ -68,7 +68,7 @@ class LeftOut:
 
 @dataclass(frozen=True)
 class Triples:
-    """What comes in threes in a log: the places, in the file's order, and what was left out."""
+    """The triples of a log: the places, in the file's order, and the columns that were left out."""
 
     places: list[list[str]] = field(default_factory=list)
     left: list[LeftOut] = field(default_factory=list)
@@ -103,7 +103,7 @@ def find_triples(names: Sequence[str], bare: Sequence[str], rows: Rows, is_lengt
     fours = [columns for columns, _ in found if len(columns) == 4]
     turned = [LeftOut(tuple(four), "a quaternion") for four in fours if np.nanmax(np.nanstd(rows(four), axis=0)) > 0]
     candidates = [_candidate(one, stem, rows, is_length) for one, stem in found if len(one) == 3]
-    accepted, left = _judged(_families(candidates))
+    accepted, left = _classified(_families(candidates))
     order = {one.columns[0]: k for k, one in enumerate(candidates)}
     places = sorted((one.columns for family in accepted for one in family), key=lambda columns: order[columns[0]])
     loose = [one.columns for family in accepted for one in family if not one.named]
@@ -118,7 +118,7 @@ def _families(candidates: list[_Candidate]) -> list[list[_Candidate]]:
     return list(families.values())
 
 
-def _judged(families: list[list[_Candidate]]) -> tuple[list[list[_Candidate]], list[LeftOut]]:
+def _classified(families: list[list[_Candidate]]) -> tuple[list[list[_Candidate]], list[LeftOut]]:
     """Return the families of triples that are places, and the others with the reason."""
     left: list[LeftOut] = []
     standing: list[list[_Candidate]] = []
@@ -247,7 +247,7 @@ def find_pairs(names: Sequence[str], bare: Sequence[str], rows: Rows) -> Triples
 
     pairs = list(_pairs(list(names), list(bare), rows))
     families = _families([_candidate(one, stem, padded, lambda _: False) for one, stem in pairs])
-    accepted, left = _judged(families) if any(family[0].named for family in families) else ([], [])
+    accepted, left = _classified(families) if any(family[0].named for family in families) else ([], [])
     order = {pair[0]: k for k, (pair, _) in enumerate(pairs)}
     places = sorted((one.columns for family in accepted for one in family), key=lambda columns: order[columns[0]])
     return Triples(places, left, [one.columns for family in accepted for one in family if not one.named])

@@ -33,7 +33,7 @@ def main() -> int:
         homes, session = setup.pop("homes"), setup.pop("session", None)
         servos = members_of(setup["servos"], setup["limits"], setup.pop("gains", ()))
         if mended := started(setup["port"], setup["baud"], servos):
-            _say(told, mended=mended)
+            _report(told, mended=mended)
         if homes is not None:
             _check_home(setup["port"], setup["baud"], setup["servos"], homes)
         if setup["gpio"] is not None:
@@ -45,13 +45,13 @@ def main() -> int:
             _forget_home(setup["port"], setup["baud"], setup["servos"])
         note_released(session)
     except SoftmapError as fault:
-        _say(told, error=str(fault))
+        _report(told, error=str(fault))
         return 1
     return 0
 
 
-def _say(pipe: int, **said: Any) -> None:
-    os.write(pipe, (json.dumps({"schema": "softmap.loop/1"} | said) + "\n").encode())
+def _report(pipe: int, **entries: Any) -> None:
+    os.write(pipe, (json.dumps({"schema": "softmap.loop/1"} | entries) + "\n").encode())
 
 
 def _check_home(port: str, baud: int, servos: list[list[int]], homes: list[int | None]) -> None:

@@ -16,7 +16,7 @@ EMPTY = {"", "nan", "na", "n/a", "null", "none", "-nan"}  # not reported to the 
 MOSTLY = 0.5  # of the cells: a column with more words is no column of numbers
 _ERROR = re.compile(r"#.*|[+-]?1\.#[a-z]+\d*|[+-]?(nan|inf)\S*", re.IGNORECASE)
 _LONG = 20  # characters of a word that are shown
-_TOLD = 6  # words that are named
+_LISTED = 6  # words that are named
 _DISTINCT = 1000  # words that are counted one by one
 
 
@@ -60,7 +60,7 @@ class Words:
             return []
         told = [
             f"{names[column]} '{word}' in {count} of {rows} rows (first in line {first})"
-            for (column, word), (count, first) in list(self.found.items())[:_TOLD]
+            for (column, word), (count, first) in list(self.found.items())[:_LISTED]
         ]
-        more = f" and {len(self.found) - _TOLD} more" if len(self.found) > _TOLD else ""
+        more = f" and {len(self.found) - _LISTED} more" if len(self.found) > _LISTED else ""
         return [f"words in columns of numbers are taken as missing: {', '.join(told)}{more}"]
