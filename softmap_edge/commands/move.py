@@ -38,8 +38,8 @@ NEAR = 25.0  # ticks from a command at which a servo is there
 LAGS = 1.0  # s after its goal came there, when it is as near as it gets
 CAME_SHORT = 1  # exit code
 HELD = (
-    "look what holds the finger; `softmap servo limits` lists who caps the current, `softmap servo pull` measures what "
-    "the stroke needs"
+    "find what holds the finger; `softmap servo limits` lists what caps the current, `softmap servo pull` measures the "
+    "current that the stroke needs"
 )
 STEP = 10.0  # ticks that a tap turns: more only once the key repeats
 HELP = (

@@ -115,8 +115,9 @@ def explained(document: Any) -> str | None:
     more = f" and {len(motors) - _SHOWN} more" if len(motors) > _SHOWN else ""
     first = next(iter(motors.values()))
     return (
-        f"is the calibration of a LeRobot arm, no log: {listed}{more}. It says which ticks each motor may take, not "
-        f"how many mm a tick moves. Import the dataset itself; values from -100 to 100 become ticks in the mapping by "
+        f"is the calibration of a LeRobot arm, no log: {listed}{more}. It holds the ticks that each motor may "
+        "take, not how many mm a tick moves. Import the dataset itself; values from -100 to 100 become ticks in the "
+        "mapping by "
         f"ticks = {{ columns = [ONE], {_line(first)} }} of each motor, and `softmap calibrate` finds their mm"
     )
 

@@ -160,7 +160,7 @@ def _recording(parts: Sequence[Part], topic: str | None, most: int | None = None
     named = {one.name: one.type for listed in held for one in listed}
     if topic is None and len(named) != 1:
         listed = ", ".join(f"{name} ({kind})" for name, kind in named.items())[:300] or "none"
-        raise RunError(f'{parts[0].given}: holds {len(named)} topics ({listed}); say in the mapping which: topic = "…"')
+        raise RunError(f'{parts[0].given}: holds {len(named)} topics ({listed}); name one in the mapping: topic = "…"')
     asked = next(iter(named)) if topic is None else topic
     holders = [part for part, listed in zip(parts, held) if asked in (one.name for one in listed)]
     if not holders:
@@ -291,7 +291,7 @@ def _with_episode(fits: list[Part], log: Log, mapping: Mapping) -> list[Part]:
     if log.episode is None:
         raise RunError(
             f"{mapping.path}: {fits[0].given.name} holds many episodes in {len(fits)} files, and each is a run of its "
-            "own; say in the mapping which: episode = 0"
+            "own; name one in the mapping: episode = 0"
         )
     called = [part for part in fits if part.path.stem == f"episode_{log.episode:06d}"]  # LeRobot before v3
     for part in called or fits:

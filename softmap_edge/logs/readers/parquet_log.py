@@ -171,7 +171,7 @@ class _Gathered:
 
 def _ask(path: Path, rows: int) -> None:
     raise RunError(
-        f"{path}: holds several episodes ({rows} rows), and each is a run of its own; say in the mapping which: "
+        f"{path}: holds several episodes ({rows} rows), and each is a run of its own; name one in the mapping: "
         "episode = 0"
     )
 

@@ -77,7 +77,7 @@ class JoinedColumns:
                 raise RunError(
                     f"{self.path}: {self.parts[k][0]} and {self.parts[later][0]} overlap in time ({self.clock} ends at "
                     f"{times[k].max():.10g} and begins at {times[later].min():.10g}), so they are no parts of one "
-                    "recording; give one of them, or say by `file` in the mapping which log is which"
+                    "recording; give one of them, or assign each log by `file` in the mapping"
                 )
 
     def _pause(self, order: Sequence[int], times: list[Array]) -> str:

@@ -85,7 +85,7 @@ def _chosen(path: Path, channels: list[_Channel], topic: str | None) -> _Channel
     fits = [one for one in channels if topic is None or one.name == topic]
     if topic is None and len(fits) != 1:
         named = ", ".join(f"{one.name} ({one.type})" for one in channels)[:300] or "none"
-        raise RunError(f'{path}: holds {len(channels)} topics ({named}); say in the mapping which: topic = "…"')
+        raise RunError(f'{path}: holds {len(channels)} topics ({named}); name one in the mapping: topic = "…"')
     if not fits or not fits[0].count:
         listed = ", ".join(sorted(one.name for one in channels if one.count))[:200] or "none"
         asked = fits[0].name if fits else topic
