@@ -374,7 +374,7 @@ def _made_from(manifest: dict[str, Any]) -> dict[str, Any]:
 
 
 def _check_size(file: Path) -> None:
-    """Refuse a file of a bundle that is larger than is read, before a byte of it is."""
+    """Refuse a bundle file that exceeds its size limit, before any of it is read."""
     size, most = file.stat().st_size, _MOST[file.suffix]
     if size > most:
         raise BundleError(

@@ -21,7 +21,7 @@ from softmap_edge.printable import PrintableStream, one_line
 
 DONE, FAULT, WRONG_USE = 0, 1, 2
 NEGATIVE = re.compile(r"-[\d.][^:]*,")
-HELP = "help"  # softmap help VERB
+HELP = "help"  # softmap help COMMAND
 INTERRUPTED = 130  # as a shell reports Ctrl-C
 
 
@@ -35,7 +35,7 @@ def main(argv: list[str] | None = None) -> int:
 
 @contextmanager
 def _printable() -> Iterator[None]:
-    """Escape control characters in what is printed meanwhile; a closed stream stays None."""
+    """Escape control characters in all output inside the block; a closed stream stays None."""
     streams = sys.stdout, sys.stderr
     sys.stdout, sys.stderr = (s and cast(TextIO, PrintableStream(s)) for s in streams)
     try:
@@ -45,7 +45,7 @@ def _printable() -> Iterator[None]:
 
 
 def _main(argv: list[str]) -> int:
-    """Find the verb and run it."""
+    """Find the command and run it."""
     # Small factorisations are ten times slower with BLAS threads; read when numpy is first loaded.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     verbs = {verb.name: verb for verb in verbs_here()}
@@ -71,7 +71,7 @@ def _main(argv: list[str]) -> int:
 
 
 def parser_of(verb: Verb) -> Parser:
-    """Return the argument parser of a verb."""
+    """Return the argument parser of a command."""
     module = importlib.import_module(verb.module)
     parser = Parser(prog=f"softmap {verb.name}", description=verb.help)
     getattr(module, f"{verb.name.replace('-', '_')}_arguments")(parser)
@@ -80,7 +80,7 @@ def parser_of(verb: Verb) -> Parser:
 
 
 def verbs_here() -> list[Verb]:
-    """Return the verbs of this installation."""
+    """Return the commands of this installation."""
     return [*VERBS, *_plugged_in()]
 
 
@@ -100,7 +100,7 @@ def _run(verb: Verb, argv: list[str]) -> int:
         if sys.stdout is not None:  # closed by whoever started it
             sys.stdout.flush()  # a closed pipe is noticed here, not when the interpreter ends
         return code or (FAULT if incomplete else DONE)
-    except BrokenPipeError:  # the reader of something live has seen enough
+    except BrokenPipeError:  # the reader of a live output has closed the pipe
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return DONE
     except SoftmapError as error:

@@ -26,8 +26,8 @@ from softmap_edge.rod.regression import RIDGE, SQUARES, Basis
 Floats = NDArray[np.float64]
 
 EPSILON = 1e-5  # of a feature's mean square: 1 % of the range along a direction that never moved counts as 10
-FAR = 0.15  # of the range from its ends: where two channels are looked at together
-MOST_PAIRS = 4  # that a sentence names
+FAR = 0.15  # of the range from its ends: where a pair of channels is tested
+MOST_PAIRS = 4  # pairs that a sentence names
 LARGER = 1.5  # times the largest leverage: a single channel reaches it 10 % of its half range beyond
 
 
@@ -95,8 +95,8 @@ class Coverage:
 def apart(commands: Floats) -> list[tuple[int, int]]:
     """Return the pairs of channels that were moved, but never far enough together.
 
-    Judged by the leverage of [1, u, v, u·v] at the four corners of their ranges (`FAR` inside): a circle covers them, a
-    cross does not.
+    The criterion is the leverage of [1, u, v, u·v] at the four corners of their ranges (`FAR` inside). A circle covers
+    the corners, a cross does not.
 
     Args:
         commands: of a run, shape (n, C); channels that never move are left out.
@@ -108,7 +108,7 @@ def apart(commands: Floats) -> list[tuple[int, int]]:
 
 
 def _never_together(u: Floats, v: Floats) -> bool:
-    """Return whether all four corners of two channels (n,), within −1 … 1, lie outside what was moved."""
+    """Return whether all four corners of two channels (n,), within −1 … 1, lie outside the covered range."""
     corners = (1.0 - 2.0 * FAR) * np.array([(1.0, 1.0), (1.0, -1.0), (-1.0, 1.0), (-1.0, -1.0)])
     moved, asked = (np.stack([np.ones(len(x)), x, y, x * y], axis=1) for x, y in ((u, v), corners.T))
     strength, directions = np.linalg.eigh(moved.T @ moved / len(moved))
@@ -118,7 +118,7 @@ def _never_together(u: Floats, v: Floats) -> bool:
 
 
 def said_apart(pairs: list[tuple[int, int]]) -> str:
-    """Return pairs of channels as a sentence has them."""
+    """Return pairs of channels as text for a sentence."""
     named = ", ".join(f"{i} and {j}" for i, j in pairs[:MOST_PAIRS])
     return named + (f" and {len(pairs) - MOST_PAIRS} more pairs" if len(pairs) > MOST_PAIRS else "")
 

@@ -12,7 +12,7 @@ class RunError(SoftmapError):
 
 
 class RecordingWarning(SoftmapError, UserWarning):
-    """A recording is damaged or was cut short; what is sound of it is read.
+    """A recording is damaged or was cut short; its sound part is read.
 
     `warnings.simplefilter("error", RecordingWarning)` refuses such recordings instead.
     """
@@ -71,7 +71,7 @@ class ServoError(SoftmapError):
 
 
 class RecordingBroken(ServoError):
-    """A recording ended before the robot did, on a full disk perhaps; what was driven until then is kept."""
+    """A recording ended before the robot stopped (a full disk, for example); the part until then is kept."""
 
 
 class SessionWarning(UserWarning):
@@ -114,7 +114,7 @@ class CoreError(SoftmapError, ValueError):
 
 
 def no_name(what: str, name: str, known: Iterable[str], most: int | None = None) -> str:
-    """Return the line that refuses a name which is not among the `known`, with the nearest of them.
+    """Return the error message for an unknown name, with the nearest known one.
 
     Args:
         what: kind of the name, such as "effect".
@@ -138,7 +138,7 @@ def nearest(name: str, known: Iterable[str], most: int = 1) -> list[str]:
 
 
 def no_effect(name: str, known: Iterable[str]) -> str:
-    """Return the line that refuses an effect which is not among the `known`, with the nearest of them."""
+    """Return the error message for an unknown effect, with the nearest known one."""
     line = no_name("effect", name, known)
     return f"{line}; a file is given by an --effects of its own" if ".py" in name else line
 

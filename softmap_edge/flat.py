@@ -1,7 +1,7 @@
 """Find a coordinate that was not measured: points that lie in one plane to the last digit, in every frame.
 
-A planar robot seen by one camera has x and y, and its third coordinate is a constant. Nothing across that plane is
-measured, so no effect there is tested. Noise of a real third coordinate is far larger than `EXACT`.
+A planar robot seen by one camera has x and y, and its third coordinate is constant. Motion across that plane is not
+measured, so effects there cannot be tested. Noise of a real third coordinate is far larger than `EXACT`.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ Floats = NDArray[np.float64]
 EXACT = 1e-5  # of the extent of the points, RMS: rounding of a number, never noise of a measurement
 NEAR_MM = 1e-3  # mm from the origin, within which a plane goes through it
 ALONG = 0.999  # cosine from which a normal is an axis
-SAMPLE = 20_000  # points that are looked at
+SAMPLE = 20_000  # points that are tested
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class Plane:
 
 
 def plane_of(run: Run) -> Plane | None:
-    """Return the plane that holds all points of a run of places; None if they fill space, or lie on one line."""
+    """Return the plane that holds all points of a run; None if they fill space or lie on one line."""
     seen = run.vertices if run.vertices is not None else run.markers
     if seen is None or run.output is not None or not seen.size:
         return None

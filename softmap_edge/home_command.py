@@ -15,7 +15,8 @@ def home_command(reach: ArrayLike) -> NDArray[np.float64]:
         reach: least and largest command of each channel, shape (C, 2).
 
     Returns:
-        0 where the range holds it, its nearest end where it begins a little beyond, the middle of a range far from 0.
+        0 if the range holds it, the nearest end of a range that begins a little beyond 0, the middle of a range far
+        from 0.
     """
     low, high = np.asarray(reach, float).reshape(-1, 2).T
     far = (np.maximum(low, -high) > FAR * (high - low)) & (high > low)

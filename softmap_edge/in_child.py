@@ -2,9 +2,9 @@
 
     arrays = in_child(parse, path, megabytes=1000, seconds=60)
 
-The child is forked, so it starts in milliseconds and needs no import. It cannot write to any file, what it prints is
-dropped, and what it returns comes back as JSON and raw arrays: no pickle is read. If it crashes, hangs or takes more
-memory than allowed, only the child ends. Pinned by tests/test_in_child.py.
+The child is forked, so it starts in milliseconds and needs no import. It cannot write to any file, and its output is
+dropped. Its result comes back as JSON and raw arrays: no pickle is read. If it crashes, hangs or takes more memory than
+allowed, only the child ends. Pinned by tests/test_in_child.py.
 """
 
 from __future__ import annotations
@@ -31,11 +31,11 @@ _PAGE_SIZE = os.sysconf("SC_PAGE_SIZE")
 
 
 class ChildFault(SoftmapError):
-    """The child raised another library's exception, crashed, or met a limit; the message says which."""
+    """The child raised another library's exception, crashed, or exceeded a limit; the message states which."""
 
 
 def in_child(function: Callable[..., Any], *args: Any, megabytes: int = 1000, seconds: float = 60.0) -> Any:
-    """Return `function(*args)` as a forked child found it.
+    """Call `function(*args)` in a forked child and return its result.
 
     Args:
         function: returns arrays of numbers or text, numbers, text or None, or lists or dicts (by text) of them.
@@ -68,7 +68,7 @@ def in_child(function: Callable[..., Any], *args: Any, megabytes: int = 1000, se
 
 
 def _read(pipe: int, most: int, deadline: float) -> bytes | None:
-    """Return all that comes through a pipe, or None if it does not end in time or is too much."""
+    """Return all bytes from a pipe; None if it does not end in time or exceeds `most` bytes."""
     content = bytearray()
     while (left := deadline - time.monotonic()) > 0.0 and len(content) <= most:
         if select.select([pipe], [], [], left)[0]:

@@ -1,8 +1,8 @@
-"""Walks the records of an MCAP file and checks its framing, its checksums and what its end states of it.
+"""Walk through the records of an MCAP file; check its framing, its checksums and the statistics at its end.
 
 An MCAP file that was closed ends with a summary (how many messages, where the chunks are), a footer and the magic
 bytes. CRC-32 checksums of the data section and of the summary are there unless they are 0. A file that was cut has no
-end. After bytes that are no record the walk goes on at the next chunk. Nothing here needs a package. Pinned by
+end. After bytes that are no record the walk goes on at the next chunk. This module needs no package. Pinned by
 tests/test_mcap_damage.py.
 
 Source of the format: MCAP, Foxglove, https://mcap.dev/spec.
@@ -46,13 +46,13 @@ class Record:
 
 @dataclass(frozen=True)
 class Closing:
-    """What the end of a closed file states.
+    """The statements at the end of a closed file.
 
     Attributes:
         data_end: where the data section ends, bytes.
         data: whether the checksum of the data section matches; None if there is none.
         summary: the same of the summary.
-        counts: messages by channel id; None where that is not stated.
+        counts: messages by channel id; None if not stated.
         total: messages; None without sound statistics.
         spans: first and last time (ns) of each chunk, by where it begins.
         defined: the schemas and channels of the summary (kind, bytes).
@@ -107,7 +107,7 @@ def split(data: bytes) -> Iterator[tuple[int, bytes]]:
 
 # --- the end of a file -----------------------------------------------------------------------
 def read_closing(file: BinaryIO, size: int) -> Closing | None:
-    """Return what the end of a file states, its checksums checked; None where it does not end as a closed file does."""
+    """Return the statements at the end of a file, checksums checked; None if the file was not closed."""
     tail = _FOOTER.size + len(MAGIC)
     if size < len(MAGIC) + tail:
         return None
@@ -122,7 +122,7 @@ def read_closing(file: BinaryIO, size: int) -> Closing | None:
     summary = _piece(file, begins, footer - begins)
     found = zlib.crc32(end[: _FOOTER.size - 4], zlib.crc32(summary))
     sound = None if stated == 0 else found == stated
-    if start == 0 and sound is False:  # without a summary, writers disagree on what the number is of
+    if start == 0 and sound is False:  # without a summary, writers disagree on the checksummed bytes
         sound = None
     data_end, data = _data_section(file, begins)
     closing = Closing(data_end, data, sound)
@@ -179,7 +179,7 @@ def _piece(file: BinaryIO, start: int, length: int) -> bytes:
 class Walk:
     """The records of the data section of a file, from its first to `end`.
 
-    `.gaps` are the bytes (from, to) that are no records, `.odd` how many records of an unknown kind were passed over.
+    `.gaps` are the bytes (from, to) that are no records, `.odd` is the number of skipped records of an unknown kind.
     """
 
     def __init__(self, file: BinaryIO, size: int, end: int | None = None) -> None:
@@ -213,7 +213,7 @@ class Walk:
             body = _piece(self._file, at + _HEAD.size, length) if length <= LONGEST else b""
             return Record(kind, at, end, body) if fits(kind, body, length) else None
         if not fits(kind, _piece(self._file, at + _HEAD.size, min(length, _BLOCK)), length):
-            if self._next_chunk(at + 1, end) < end:  # a length that is wrong reaches over what follows
+            if self._next_chunk(at + 1, end) < end:  # a wrong length reaches over the next records
                 return None
             self.odd += kind > DATA_END
         return Record(kind, at, end)
@@ -237,7 +237,7 @@ def _chunk_in(block: np.ndarray[tuple[int], np.dtype[np.uint8]], offset: int, si
         return None
     places = np.flatnonzero(block[:count] == CHUNK)
     places = places[(block[places + head - 4] <= 16) & (block[places + head - 3] == 0)]
-    packed = places + head + block[places + head - 4]  # where the number of packed bytes stands
+    packed = places + head + block[places + head - 4]  # position of the number of packed bytes
     places, packed = places[packed + 8 <= len(block)], packed[packed + 8 <= len(block)]
 
     def number(at: np.ndarray[tuple[int], np.dtype[np.int64]]) -> np.ndarray[tuple[int], np.dtype[np.uint64]]:
@@ -267,7 +267,7 @@ def _chunk_fits(body: bytes, length: int) -> bool:
 
 
 def _texts_fit(body: bytes, length: int, at: int, texts: int) -> int:
-    """Return where what follows `texts` strings after `at` begins."""
+    """Return the position after `texts` strings that begin at `at`."""
     for _ in range(texts):
         at += 4 + int(struct.unpack_from("<I", body, at)[0])
     return at

@@ -5,8 +5,8 @@ commands all over the range: a second implementation, so that a damaged or forei
 Fits look at features, not at points: there a network of up to three commands becomes a table (`tabulated`).
 
 A graph of other operators is one that only onnxruntime runs. It is run only if the user allows it (`--trust-onnx`),
-once, in a child process with limits of memory and time, at the nodes of a grid of its up to three commands. It goes on
-as a table of the results (`elsewhere`), with all that a table has: slopes, fields, the control loop without Python.
+once, in a child process with limits of memory and time, at the nodes of a grid of its up to three commands. The results
+become a table (`elsewhere`), with all properties of a table: slopes, fields, the control loop without Python.
 The error of the table between its nodes is measured, reported and limited. No graph is run that refers to other files,
 or that holds loops, branches, functions or foreign operators (`_core.check_onnx`). Pinned by tests/test_network.py and
 tests/test_untrusted_bundles.py.
@@ -45,7 +45,7 @@ NODES = {1: 201, 2: 61, 3: 21}  # of a table, by channels; of smooth networks 0.
 def read_network(
     file: Path, command_range: Floats, prior: Mapping[str, Any], trusted: Callable[[Path, str], bool]
 ) -> tuple[Arrays, dict[str, Any] | None]:
-    """Read an ONNX file: the arrays of its shape, and a description where only onnxruntime reads it.
+    """Read an ONNX file: the arrays of its shape, and a description if only onnxruntime can read it.
 
     One that training wrote stays a network (`onnx`), and onnxruntime is seen to give the same; another becomes a table.
 
@@ -97,7 +97,7 @@ def elsewhere(
         content: its bytes.
         command_range: (C, 2) mm.
         prior: as for `read_network`.
-        why: the reason for which the core does not read it.
+        why: why the core does not read it.
 
     Raises:
         BundleError: onnxruntime does not run it, it has too many commands, or a table is too far from it.

@@ -74,8 +74,8 @@ def read_npz(
 
 
 def archive_names(path: Path) -> set[str]:
-    """Return the names in an archive, none where it is not an archive that can be read."""
-    if not path.is_file():  # a pipe or a device would be read for ever
+    """Return the names in an archive; an empty set if it is no readable archive."""
+    if not path.is_file():  # a pipe or a device may never end
         return set()
     try:
         check_directory(path)

@@ -1,8 +1,8 @@
-"""Markers in a plane: the coordinate across it is not measured, so nothing across it is predicted or judged.
+"""Markers in a plane: the coordinate across it is not measured, so it is neither predicted nor tested.
 
 The run keeps the axis of the base frame that is not measured in its field `plane` ("x", "y" or "z"), and 0 as that
-coordinate. A model's prediction for such a run has 0 there as well. So the error, and whatever an effect does across
-the plane, is 0, and no effect is found or excluded by it. Pinned by tests/test_plane.py.
+coordinate. A model's prediction for such a run has 0 there as well. So the error and every effect across the plane are
+0, and they neither support nor exclude an effect. Pinned by tests/test_plane.py.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ def unmeasured(run: Run) -> int | None:
     """
     field = getattr(run, "extra", {}).get(PLANE)
     if field is None or run.markers is None or field.dtype.kind != "U" or field.size != 1:
-        return None  # an array of this name is somebody else's field
+        return None  # an array of this name is a field of another program
     axis = str(field.reshape(-1)[0])
     if axis not in tuple(AXES):
         raise RunError(f'plane: {str(field)[:40]!r}, expected the axis that is not measured: "x", "y" or "z"')
@@ -49,7 +49,7 @@ def flat(points: Array, run: Run) -> Array:
 
 
 def unmeasured_parameters(run: Run) -> tuple[str, ...]:
-    """Return the parameters of the base's place that markers in a plane do not show."""
+    """Return the parameters of the base's place that markers in a plane cannot identify."""
     axis = unmeasured(run)
     if axis is None:
         return ()

@@ -29,7 +29,7 @@ def _escape(character: str) -> str:
 
 
 class PrintableStream:
-    """A text stream that writes only printable characters to `raw`; anything else is done by `raw` itself."""
+    """A text stream that writes only printable characters to `raw` and passes all other calls on to it."""
 
     def __init__(self, raw: TextIO) -> None:
         self.raw = raw
@@ -49,5 +49,5 @@ class PrintableStream:
 
 
 def raw(stream: TextIO) -> TextIO:
-    """Return the stream behind a `PrintableStream`: for what moves the cursor on purpose."""
+    """Return the stream behind a `PrintableStream`, for output that moves the cursor on purpose."""
     return stream.raw if isinstance(stream, PrintableStream) else stream

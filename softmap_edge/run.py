@@ -33,7 +33,7 @@ MAX_NUMBERS = 1 << 26  # of a run: 40 000 frames of 548 vertices
 BASE_MARKERS = "base_markers"  # the field in which an import keeps markers (K, B, 3) mm that are fixed to the base
 ROLL_SEEN = "roll_seen"  # a field: whether a run shows what the body does about its own axis
 SPOOL_RADIUS = "spool_radius_mm"  # the field in which an import keeps the radius of the spools of its mapping
-NOT_SEEN = "not_seen"  # the field that says that places which stand for "not seen" were looked for, or are kept
+NOT_SEEN = "not_seen"  # the field that marks the search for places that stand for "not seen" as done or switched off
 PIECES = ("piece_origin", "piece_row", "piece_frame", "piece_shift_s")  # fields of a run that was cut or joined
 # Fields of `extra` that our own verbs write.
 OURS = {BASE_MARKERS, SPOOL_RADIUS, ROLL_SEEN, NOT_SEEN, PLANE, "made_by", "made_from", "marker_labels", *PIECES}
@@ -372,12 +372,12 @@ class Run:
         """Return a piece of the run: a span of time, or a block (`run_cut.cut`).
 
         Args:
-            start, end: s; frames with start <= time < end. None is the begin or the end of the run.
+            start, end: s; frames with start <= time < end. None stands for the begin or end of the run.
             block: a label, in place of a time.
             lead_s: s of commands that are kept before the first frame, so that memory is still right.
 
         Raises:
-            RunError: nothing lies within, or there is no such block.
+            RunError: the piece is empty, or there is no such block.
         """
         from softmap_edge.run_cut import cut
 

@@ -1,4 +1,4 @@
-"""List what a run holds: channels, units, rows, frames, blocks, time span, declared conditions, origin."""
+"""List the contents of a run: channels, units, rows, frames, blocks, time span, declared conditions, origin."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ MOST = 12  # blocks or pieces that a text lists
 
 
 def contents(run: Run) -> dict[str, Any]:
-    """Return what a run holds, with units in the keys.
+    """Return the contents of a run, with units in the keys.
 
     Returns:
         dict: `blocks` is a list of `{label, frames, from_s, to_s}` in order of appearance, `origin` a list of

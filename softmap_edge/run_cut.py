@@ -34,12 +34,12 @@ def cut(
 
     Args:
         run: with T rows and K frames.
-        start, end: s; frames with start <= time < end. None is the begin or the end of the run.
+        start, end: s; frames with start <= time < end. None stands for the begin or end of the run.
         block: a label, in place of a time. If its frames lie in several places of the run, these are joined.
         lead_s: s of commands that are kept before the first frame, so that memory is still right.
 
     Raises:
-        RunError: nothing lies within, there is no such block, or `start` is not before `end`.
+        RunError: the piece is empty, there is no such block, or `start` is not before `end`.
     """
     if not lead_s >= 0.0:
         raise RunError(f"lead_s: {lead_s:g} s, expected 0 or more")

@@ -15,7 +15,7 @@ OPTIONAL = ("present", "present_ticks", "current", "temperature", "load", "gravi
 
 
 def check_fit(runs: Sequence[Run]) -> None:
-    """Raise RunError, with both values, where a run is not of the robot of the first one."""
+    """Raise RunError, with both values, if a run does not fit the first one."""
     for number, run in enumerate(runs[1:], start=2):
         for what, first, other in _facts(runs[0], run):
             if first != other:
@@ -29,7 +29,7 @@ def check_fit(runs: Sequence[Run]) -> None:
 
 
 def _facts(one: Run, other: Run) -> Iterator[tuple[str, Any, Any]]:
-    """Return what has to be the same, as (what, of the first run, of the other)."""
+    """Yield the properties that must agree, as (name, value of the first run, value of the other)."""
     if one.robot is not None and other.robot is not None:
         yield "as its robot", one.robot, other.robot
     yield "as the kind of its commands", _kind(one), _kind(other)
@@ -48,7 +48,7 @@ def _outputs(run: Run) -> str | None:
 
 
 def _time(run: Run) -> str:
-    """Return what the times of a run are."""
+    """Return the kind of the times of a run."""
     return "rows without time" if run.timeless else "seconds"
 
 
@@ -63,7 +63,7 @@ def _kind(run: Run) -> str:
 
 
 def _seen(run: Run) -> str:
-    """Return which points a run holds."""
+    """Return the kind of points that a run holds."""
     return next((name for name in ("vertices", "markers", "points") if getattr(run, name) is not None), "nothing")
 
 
@@ -74,7 +74,7 @@ def _count(run: Run) -> int:
 
 
 def _check_all(name: str, number: int, run: Run, runs: Sequence[Run]) -> None:
-    """Raise RunError where a field is in some runs only, or is not the same where it has to be."""
+    """Raise RunError if a field is in some runs only, or differs although it must agree."""
     first, value = getattr(runs[0], name), getattr(run, name)
     if (first is None) != (value is None):
         holds, lacks = (1, number) if value is None else (number, 1)

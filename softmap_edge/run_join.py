@@ -25,7 +25,7 @@ from softmap_edge.run_fits import check_fit
 Floats = NDArray[np.float64]
 GAP_S = 10.0  # s between runs of several recordings: ten times the gap next to a block of a diagnosis
 NEXT = 1.5  # usual steps of rows within which a piece continues the one before it
-SLACK = 1e-6  # s by which times of one recording may differ after they were moved there and back
+SLACK = 1e-6  # s by which times of one recording may differ after a shift and its inverse
 POINTS = ("vertices", "markers")
 BY_ROW = ("command", "ticks", "present", "present_ticks", "current", "temperature", "load")
 ONCE = ("marker_rest", "cameras")  # fields that belong to the robot, equal in all runs
@@ -33,7 +33,7 @@ ONCE = ("marker_rest", "cameras")  # fields that belong to the robot, equal in a
 
 @dataclass(frozen=True)
 class _Placed:
-    """A run in the joined one: `shift_s` is added to its times, its first `skip` rows are those of the run before."""
+    """A run in the joined one: `shift_s` is added to its times; its first `skip` rows repeat the run before."""
 
     run: Run
     shift_s: float
@@ -90,7 +90,7 @@ def _in_scale(run: Run, first: Run) -> Run:
 
 
 def _check_size(runs: Sequence[Run]) -> None:
-    """Raise RunError where the joined run would be larger than what is read."""
+    """Raise RunError if the joined run would exceed the size limit of a run file."""
     numbers = sum(array.size for run in runs for array in run.arrays().values())
     if numbers > MAX_NUMBERS:
         raise RunError(f"{numbers:.3g} numbers in all, at most {MAX_NUMBERS:.3g} are read; join fewer runs")
@@ -131,7 +131,7 @@ def _end(run: Run) -> float:
 
 
 def _on_its_clock(before: _Placed, run: Run) -> float | None:
-    """Return the shift (s) by which a run stands on the clock of the recording before it; None if it is of another."""
+    """Return the shift (s) of a run on the clock of the recording before it; None if it is of another recording."""
     last, first = run_pieces.pieces(before.run)[-1], run_pieces.pieces(run)[0]
     if last.origin != first.origin:
         return None
@@ -139,7 +139,7 @@ def _on_its_clock(before: _Placed, run: Run) -> float | None:
 
 
 def _check_apart(runs: Sequence[Run]) -> None:
-    """Raise RunError where two runs hold the same frames of one recording."""
+    """Raise RunError if two runs hold the same frames of one recording."""
     known: list[tuple[str, float, float, int]] = []
     for number, run in enumerate(runs, start=1):
         parts = run_pieces.pieces(run)
@@ -186,7 +186,7 @@ def _by_row(placed: Sequence[_Placed]) -> dict[str, Any]:
 
 
 def _seen(runs: Sequence[Run]) -> dict[str, Any]:
-    """Return what was seen: points, which of them are visible, their sigma."""
+    """Return the seen data: points, their visibility and their sigma."""
     found: dict[str, Any] = {
         name: np.concatenate([getattr(run, name) for run in runs])
         for name in POINTS
@@ -242,7 +242,7 @@ def _extra(placed: Sequence[_Placed]) -> dict[str, NDArray[Any]]:
 
 
 def _stacked(name: str, arrays: Sequence[NDArray[Any]]) -> NDArray[Any]:
-    """Return arrays one after the other; raise RunError where their other axes differ."""
+    """Return arrays one after the other; raise RunError if their other axes differ."""
     if len({(array.shape[1:], array.dtype.kind) for array in arrays}) > 1:
         raise RunError(
             f"{name}: shapes {[array.shape for array in arrays]} do not fit together; leave it out (--drop {name})"

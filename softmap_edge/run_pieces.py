@@ -1,4 +1,4 @@
-"""Which recordings a run was cut from or joined of: the pieces that a cut or a join keeps in the run's file.
+"""The recordings that a run was cut from or joined of: the pieces that a cut or a join keeps in the run's file.
 
 A piece is the rows from `row` on and the frames from `frame` on, up to those of the next piece. Its times in the run
 are those of its recording plus `shift_s`. A run that was neither cut nor joined is one piece: itself.

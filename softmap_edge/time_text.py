@@ -1,4 +1,4 @@
-"""Times as messages print them: with as many digits as it takes to see how much they differ.
+"""Format times for messages, with enough digits to show how much they differ.
 
 Pinned by tests/test_import_publishers.py.
 """
@@ -23,7 +23,7 @@ def differing(*times: float) -> list[str]:
 
 
 def _plain(time: float, digits: int) -> str:
-    """Return a time of at most so many digits; those before the point are all there."""
+    """Return a time with at most `digits` digits; the digits before the point are always complete."""
     if not 1e-6 < abs(time) < 1e15:
         return f"{time:.{digits}g}"
     text = f"{time:.{max(0, digits - len(str(int(abs(time)))))}f}"

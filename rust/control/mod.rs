@@ -89,7 +89,7 @@ pub fn serve(setup: Setup, plan: impl Plan, orders: OwnedFd, reports: OwnedFd) -
     let ids = setup.members.iter().map(|member| member.id).collect();
     let reporter = Reporter::start(receiver, reports, recording, ids, sizes.1, &warnings);
     let guard = Guard::new(setup.limits);
-    // Simulated time stands while a period is reported, so that what is known of it does not depend on load.
+    // Simulated time stands while a period is reported, so that reports do not depend on load.
     let record = Ring::new(sender, simulated.then(|| reporter.progress()).flatten());
     let control = Control::new(drive, guard, plan, mailbox, record);
     let mut control = Farewell(control, false);

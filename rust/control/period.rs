@@ -21,7 +21,7 @@ pub struct Period {
     /// How the bus failed.
     bus: Option<String>,
     overruns: u64,
-    /// Answers so far that were asked for, that did not come, that were damaged, and that nothing here asked for.
+    /// Counts of answers so far: asked for, lost, damaged, and not asked for.
     asked: u64,
     lost: u64,
     damaged: u64,

@@ -226,7 +226,7 @@ pub fn read(path: &Path) -> Result<Vec<Message>> {
     Ok(found)
 }
 
-/// Why a write failed: the words of the operating system, which the writer's own error leaves out.
+/// Why a write failed: the text of the operating system, which the writer's own error leaves out.
 pub fn cause(fault: &McapError) -> String {
     match fault {
         McapError::Io(cause) => cause.to_string(),

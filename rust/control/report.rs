@@ -28,7 +28,7 @@ const LOOK: Duration = Duration::from_millis(5);
 /// ns between two reports while nothing changes.
 const OFTEN: u64 = 33_000_000;
 
-/// For so long a loop in simulated time waits for a report: a disk may be slow, and a thread that failed reports nothing.
+/// How long a loop in simulated time waits for a report: a disk may be slow, and a thread that failed reports nothing.
 const PATIENCE: Duration = Duration::from_secs(10);
 
 /// How far the reporting thread is.
@@ -55,7 +55,7 @@ impl Ring {
         }
     }
 
-    /// Wait until what was taken is reported.
+    /// Wait until all taken entries are reported.
     fn follow(&self) {
         let Some(Progress { thread, handled }) = &self.progress else {
             return;
@@ -161,7 +161,7 @@ impl Reporter {
         }
     }
 
-    /// How far it is, for a loop that waits for it.
+    /// The progress of the reporting thread, for a loop that waits for it.
     pub fn progress(&self) -> Option<Progress> {
         let thread = self.thread.as_ref()?.thread().clone();
         let handled = self.handled.clone();
@@ -220,7 +220,7 @@ struct Told<'a> {
     /// Its id.
     id: Option<u8>,
     ids: &'a [u8],
-    /// Bits of the hardware errors of each servo, as it said them last.
+    /// The last reported bits of the hardware errors of each servo.
     hardware: &'a [Option<u8>],
     jumped: bool,
     outside: bool,

@@ -134,7 +134,7 @@ fn sparse() -> crate::error::Error {
     invalid("the graph holds sparse constants, which are not read; export dense ones")
 }
 
-/// Refuses a constant whose numbers stand in another file.
+/// Refuses a constant whose numbers are in another file.
 fn inside(tensor: &Tensor) -> Result<()> {
     if tensor.data_location == 0 && tensor.external_data.is_empty() {
         return Ok(());

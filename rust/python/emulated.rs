@@ -60,7 +60,7 @@ impl PyEmulatedBus {
         self.terminal.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Do something with simulated time, without the interpreter.
+    /// Run an operation on simulated time without the interpreter lock.
     fn clock<T: Send>(
         &self,
         py: Python<'_>,
@@ -297,7 +297,7 @@ impl PyEmulatedBus {
         self.clock(py, |time| time.advance(until, seconds(most)))
     }
 
-    /// Let stepped time go on as it likes, or stand where it is; the time (ns).
+    /// Let stepped time run freely, or stop it; returns the time (ns).
     fn free(&self, py: Python<'_>, free: bool) -> PyResult<u64> {
         self.clock(py, |time| time.free(free))
     }

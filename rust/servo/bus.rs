@@ -72,14 +72,14 @@ pub struct Counts {
     pub skipped: u64,
     /// Answers that came after their time.
     pub late: u64,
-    /// Answers that nothing here asked for: of another program's questions, or of a second servo with the same id.
+    /// Answers that this bus did not ask for: to requests of another program, or of a second servo with the same id.
     pub unasked: u64,
 }
 
-/// Questions without an answer that are remembered: an answer may come after its time.
+/// Number of unanswered requests that are remembered: an answer may come late.
 const REMEMBERED: usize = 32;
 
-/// Whose answers, of how many bytes, are still owed.
+/// The ids and sizes in bytes of answers that are still due.
 #[derive(Debug, Clone, Copy, Default)]
 struct Owed {
     id: u8,
@@ -87,7 +87,7 @@ struct Owed {
     count: u32,
 }
 
-/// What is still owed, and where the next one is remembered.
+/// The answers that are still due, and the place of the next entry.
 #[derive(Debug, Clone, Copy, Default)]
 struct Debts([Owed; REMEMBERED], usize);
 
@@ -105,7 +105,7 @@ impl Debts {
         self.0[place].count = self.0[place].count.saturating_add(1);
     }
 
-    /// Whether such an answer was owed; it is not any more.
+    /// Remove such an answer from those that are due; whether it was one of them.
     fn pay(&mut self, id: u8, size: usize) -> bool {
         let owed = |one: &&mut Owed| (one.id, one.size) == (id, size) && one.count > 0;
         self.0.iter_mut().find(owed).is_some_and(|one| {
@@ -115,7 +115,7 @@ impl Debts {
     }
 }
 
-/// Reads of what waits before a question, at most: whoever talks without end keeps nothing from being asked.
+/// At most so many reads of waiting bytes before a request: a sender without pause cannot block requests.
 const MOST_READS: usize = 64;
 
 /// ns that a servo waits for each lower id when everybody is asked.
@@ -189,7 +189,7 @@ impl<P: Port> Bus<P> {
         loop {
             let received = self.port.receive(&mut some, until)?;
             if received == 0 {
-                // What began and never became a packet was not read either.
+                // Bytes of an incomplete packet count as unread as well.
                 self.decoder.skipped += self.decoder.waiting().len() as u64;
                 self.decoder.clear();
                 return Ok(());
@@ -354,10 +354,10 @@ impl<P: Port> Bus<P> {
         Ok(self.port.send(packet, until)?)
     }
 
-    /// Count the answers among what was received that no question waits for.
+    /// Count the received answers that no request waits for.
     fn count_unasked(&mut self) {
         while let Some(packet) = self.decoder.next(LONGEST) {
-            // An answer of all servos in one packet was read where it stood.
+            // An answer of all servos in one packet was read in place.
             if let Some((_, body)) = packet.status()
                 && packet.id != BROADCAST
             {

@@ -249,7 +249,7 @@ fn answers_that_nothing_here_asked_for_are_counted_and_late_ones_are_told_apart(
     bus.port().pass(0.1);
     assert_eq!(bus.ping(1), Ok((1200, 46)));
     assert_eq!((bus.counts().unasked, bus.counts().late), (1, 1));
-    // Two that call themselves the same and answer one after the other.
+    // Two servos with the same id that answer one after the other.
     let delay = X_SERIES.return_delay.address;
     assert_eq!(bus.write(2, delay, &[0]), FINE);
     bus.port().emulator.servos[1].set_id(1);

@@ -62,7 +62,7 @@ pub struct Entry {
     pub fault: Option<Fault>,
     /// Periods that were missed so far.
     pub overruns: u64,
-    /// How questions went so far.
+    /// Counts of answers so far.
     pub counts: Counts,
 }
 

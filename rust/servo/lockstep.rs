@@ -1,8 +1,8 @@
 //! A port of simulated servos whose time passes only in steps that the master takes (`emulator/simulated.rs` is the other end).
 //!
 //! A local socket in place of a wire. A question is (operation u8, size u16, value u64, bytes), an answer (time u64 ns, size
-//! u16, bytes), little-endian. The clock of the port is the servos': it stands while nobody waits, so that a computer that
-//! is too busy makes no servo late.
+//! u16, bytes), little-endian. The clock of the port is that of the servos. It stands while no program waits, so that a
+//! busy computer makes no servo late.
 
 use std::io::{ErrorKind, Read, Write};
 use std::os::unix::net::UnixStream;
@@ -25,7 +25,7 @@ pub const ANSWERED: usize = 10;
 /// The byte that answers a greeting while another master has the port.
 pub const BUSY: u8 = b'B';
 
-/// For so long a port that another master has just left is asked again.
+/// How long a port that another master has just left is tried again.
 const LEAVES: Duration = Duration::from_secs(2);
 /// Between two such questions; also what a period takes once the other end is gone.
 const AGAIN: Duration = Duration::from_millis(5);
@@ -39,7 +39,7 @@ pub struct Lockstep {
 }
 
 impl Lockstep {
-    /// Connect to the socket at `path`; nobody else can meanwhile.
+    /// Connect to the socket at `path`, exclusively.
     pub fn open(path: &str, baud: u32) -> Result<Lockstep, OpenFault> {
         let begun = Instant::now();
         loop {
@@ -160,7 +160,7 @@ impl Port for Lockstep {
     }
 }
 
-/// Whether an error of a socket means that the other side has nothing to say yet.
+/// Whether an error of a socket means that the other side has not sent anything yet.
 pub(crate) fn passing(kind: ErrorKind) -> bool {
     matches!(
         kind,

@@ -1,6 +1,6 @@
-"""Prints, for every command, that a recording which it opened is damaged or was cut short, each once on stderr.
+"""Print once on stderr, for every command, each opened recording that is damaged or was cut short.
 
-Such a command does its work with what is sound and returns 1. Pinned by tests/test_mcap_damage.py.
+Such a command works with the sound part and returns 1. Pinned by tests/test_mcap_damage.py.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from softmap_edge.errors import RecordingWarning, SessionWarning
 
 @contextlib.contextmanager
 def telling(verb: str) -> Iterator[set[str]]:
-    """Print each `RecordingWarning` as a line of `verb`, and give the set of them; print how a last session ended."""
+    """Print recording and session warnings as lines of the command `verb`; yield the set of recording warnings."""
     printed: set[str] = set()
     with warnings.catch_warnings():
         usual = warnings.showwarning

@@ -38,8 +38,8 @@ NEAR = 25.0  # ticks from a command at which a servo is there
 LAGS = 1.0  # s after its goal came there, when it is as near as it gets
 CAME_SHORT = 1  # exit code
 HELD = (
-    "look what holds the finger; `softmap servo limits` lists who caps the current, `softmap servo pull` measures what "
-    "the stroke needs"
+    "find what holds the finger; `softmap servo limits` lists what caps the current, `softmap servo pull` measures the "
+    "current that the stroke needs"
 )
 STEP = 10.0  # ticks that a tap turns: more only once the key repeats
 HELP = (
@@ -66,7 +66,7 @@ def move_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def move(args: argparse.Namespace) -> int:
-    """Jog, or go to one command; 0 when that was done, 1 when it ended short of where it was sent."""
+    """Jog, or go to one command; return 0 if it arrived, 1 if it ended short of its goal."""
     if (args.servo is None) != (args.by is None) or (args.command and args.by is not None):
         raise SoftmapError("give U1,U2, or --servo ID with --by TICKS, or none of them to jog by keys")
     _check_by(args.by, JOG_TRAVEL)
@@ -185,21 +185,21 @@ def _go(args: argparse.Namespace) -> int:
 
 
 def _reported(short: str) -> int:
-    """Report a move that ended short of where it was sent; the exit code."""
+    """Report a move that ended short of its goal; return the exit code."""
     if short:
         to_stderr(f"softmap move: {short}")
     return CAME_SHORT if short else 0
 
 
 def _short(robot: Controller, done: Any) -> str:
-    """Return which servos stand short of the command `done`, as the pull test judges it; empty where none does."""
+    """Return a line on servos that are short of the command `done`, by the limits of the pull test; else ""."""
     home, target = robot.calibration.home, robot.calibration.ticks(done)
     limits = robot.limits["servos"]
     return _far(robot.rig, target, robot.position, target - home, [one["current"] for one in limits])
 
 
 def _jog_short(jog: Jog, servo: int, by: float) -> str:
-    """Return whether a jogged servo stands short of where it was sent; empty where it does not."""
+    """Return a line on a jogged servo that is short of its goal; "" if it is not."""
     target = jog.goal.copy()
     away = np.zeros(len(target))
     away[servo] = by
@@ -208,7 +208,7 @@ def _jog_short(jog: Jog, servo: int, by: float) -> str:
 
 
 def _far(rig: Rig, target: Any, position: Any, away: Any, most: Any) -> str:
-    """Return the line of the servos that stand farther from their targets than a move by `away` ticks allows."""
+    """Return a line on servos that are farther from their targets than a move by `away` ticks allows; else ""."""
     said = []
     for servo, to, at, way, mA in zip(rig.servos, target, position, away, most):
         allowed = max(LEAST_SHORT, SHORT * abs(way))

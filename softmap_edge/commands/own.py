@@ -11,15 +11,15 @@ from softmap_edge.errors import SoftmapError
 from softmap_edge.model import Model
 from softmap_edge.own_effect import load_effect
 
-_trust_onnx: list[bool] = []  # what --trust-onnx allows, for this process like the effects of --effects
+_trust_onnx: list[bool] = []  # the value of --trust-onnx, for this process like the effects of --effects
 
 
 def effects_argument(parser: argparse.ArgumentParser, more: str = "") -> None:
     """Declare `--effects` and `--trust-onnx`, the same for every command that loads a model.
 
     Args:
-        parser: of the command.
-        more: what else `--effects` takes.
+        parser: the parser of the command.
+        more: further text for the help of `--effects`.
     """
     parser.add_argument(
         "--effects",

@@ -1,4 +1,4 @@
-"""The argument parser of every verb: what it refuses is answered with the nearest option or choice that exists."""
+"""The argument parser of every command: an error names the nearest option or choice that exists."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _CHOICE = re.compile(r"invalid choice: '?([^'\s]*)'? \(choose from (.*)\)")
 
 
 class Parser(argparse.ArgumentParser):
-    """A parser that names what was probably meant."""
+    """A parser whose errors suggest the nearest valid name."""
 
     asked: Sequence[str] = ()
 
@@ -23,13 +23,13 @@ class Parser(argparse.ArgumentParser):
         return super().parse_args(args, namespace)
 
     def _remember(self, asked: Sequence[str]) -> None:
-        """Keep what was asked for, here and in the parsers of actions."""
+        """Keep the arguments, here and in the parsers of actions."""
         self.asked = asked
         for one in parsers_below(self):
             one.asked = asked
 
     def error(self, message: str) -> NoReturn:
-        """Print usage, the fault and what was probably meant; exit with code 2."""
+        """Print usage, the fault and the nearest valid name; exit with code 2."""
         hints = [*self._options(), *_choice(message)]
         super().error("; ".join([message, *dict.fromkeys(hints)]))
 

@@ -1,4 +1,4 @@
-"""Standard streams that outlive their reader: once `head` has seen enough, a verb goes on and writes its files."""
+"""Standard streams that outlive their reader: after `head` closes the pipe, a command still writes its files."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 
 
 class Outliving:
-    """A stream whose writes go nowhere once its reader has closed the pipe."""
+    """A stream that discards its output once the reader has closed the pipe."""
 
     def __init__(self, stream: Any) -> None:
         self._stream = stream
@@ -24,14 +24,14 @@ class Outliving:
             return len(text)
 
     def flush(self) -> None:
-        """Hand over what is kept."""
+        """Write out the buffer."""
         try:
             self._stream.flush()
         except BrokenPipeError:
             self._give_up()
 
     def _give_up(self) -> None:
-        """Lead the stream to nowhere, with what it still keeps."""
+        """Redirect the stream, with its buffer, to the null device."""
         nowhere = os.open(os.devnull, os.O_WRONLY)
         os.dup2(nowhere, self._stream.fileno())
         os.close(nowhere)

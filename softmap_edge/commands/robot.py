@@ -68,9 +68,13 @@ def driven_model(args: argparse.Namespace, model: Model) -> Model:
 
 @contextlib.contextmanager
 def emulated(model: Model, hidden: str = "", seed: int = 0, *, person: bool = False) -> Iterator[Bench]:
-    """Give an emulated robot with the finger of `model`, which hides laws by their names.
+    """Yield an emulated robot with the finger of `model` and injected effects.
 
-    Where a `person` drives, its time keeps to real time; else it goes by steps, the same under any load.
+    Args:
+        model: the model of the finger.
+        hidden: names of the injected effects.
+        seed: of noise and clock.
+        person: whether a person drives. Then its time keeps real time; else it is stepped, independent of load.
     """
     calibration = model.calibration or plain_map(model)
     laws = hidden_laws([name for name in hidden.split(",") if name], model.channels, seed)
@@ -81,9 +85,12 @@ def emulated(model: Model, hidden: str = "", seed: int = 0, *, person: bool = Fa
 
 @contextlib.contextmanager
 def bench_of(args: argparse.Namespace, model: Model, *, person: bool = False) -> Iterator[Bench]:
-    """Give the bench of `--rig`, or an emulated one with what `--hide` and `--seed` say, where the verb has them.
+    """Yield the robot of `--rig`, or an emulated one with the effects of `--hide` and the seed of `--seed`.
 
-    `person`: one drives it.
+    Args:
+        args: the arguments; `hide` and `seed` are optional.
+        model: the model of the finger.
+        person: whether a person drives the robot.
     """
     if args.rig:
         tell_edited(model)

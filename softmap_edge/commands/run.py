@@ -1,4 +1,4 @@
-"""The verb run: cut a run into pieces, join runs into one, show what a run holds."""
+"""The command `run`: cut a run into pieces, join runs into one, show the contents of a run."""
 
 from __future__ import annotations
 
@@ -75,10 +75,10 @@ def _cut(args: argparse.Namespace) -> int:
 
 
 def _pieces(run: Run, args: argparse.Namespace) -> list[Piece]:
-    """Return each piece that is asked for, and what it is.
+    """Return each requested piece with its description.
 
     Raises:
-        RunError: no piece is asked for, or begins and ends do not pair.
+        RunError: no piece is requested, or the numbers of --from and --to differ.
     """
     if args.block:
         if args.start or args.end:
@@ -90,7 +90,7 @@ def _pieces(run: Run, args: argparse.Namespace) -> list[Piece]:
 
 
 def _pairs(starts: Sequence[float], ends: Sequence[float]) -> list[tuple[float | None, float | None]]:
-    """Return begin and end (s) of each piece; None is that of the run."""
+    """Return begin and end (s) of each piece; None stands for the begin or end of the run."""
     if not starts and not ends:
         raise RunError("no piece is named; give --from and --to in seconds, or --block LABEL")
     if len(starts) <= 1 and len(ends) <= 1:
@@ -104,7 +104,7 @@ def _pairs(starts: Sequence[float], ends: Sequence[float]) -> list[tuple[float |
 
 
 def _span(run: Run) -> str:
-    """Return when a piece is seen, or commanded where nothing was seen."""
+    """Return the time span of the frames of a piece as text, or of its commands if it has no frames."""
     times = run.t_seen if run.frames else run.t
     return f"{times[0]:g} to {times[-1]:g} s"
 

@@ -128,7 +128,7 @@ def check(args: argparse.Namespace) -> int:
         return DONE if document["sound"] else FAULT
     if document["fault"]:
         print(f"not sound: {document['fault']}", file=sys.stderr)
-    if found:  # what can be read of it, also where a recording is damaged or was cut
+    if found:  # the readable part, also of a damaged or cut recording
         say = {"bundle": _bundle_lines, "sweep": sweep_sentences, "run": sentences}
         lines = say[document["kind"]](document)
         lines += effect_lines(document["effects"]) if args.bundle and document["kind"] == "run" else []

@@ -51,7 +51,7 @@ def _ports(args: argparse.Namespace) -> list[str]:
 
 
 def _of_rig(args: argparse.Namespace) -> Rig | None:
-    """Return the bench of `--rig`, whose port and rate are looked at where no others are given."""
+    """Return the rig of `--rig`; its port and baud rate fill in missing arguments."""
     if args.rig is None:
         return None
     rig = read_rig(args.rig)
@@ -60,7 +60,7 @@ def _of_rig(args: argparse.Namespace) -> Rig | None:
 
 
 def _missing(rig: Rig | None, found: list[setup.Found]) -> list[str]:
-    """Return of each servo of the bench that did not answer why, a sentence each."""
+    """Return a sentence for each servo of the rig that did not answer, with the cause."""
     listed = [] if rig is None else [servo.id for servo in rig.servos]
     left = [id for id in listed if id not in [servo.id for servo in found]]
     return [] if rig is None else [f"servo {id}: {why_silent(rig.port, rig.baud, id, listed)}" for id in left]
@@ -96,7 +96,7 @@ def _told(servo: setup.Found) -> dict[str, Any]:
 
 
 def _find(args: argparse.Namespace) -> tuple[list[setup.Found], list[str]]:
-    """Return the servos that are meant, and what is wrong about what answers."""
+    """Return the selected servos, and remarks on wrong answers."""
     heard = [one for port in _ports(args) for one in setup.scanned(port, args.baud)]
     every = [servo for one in heard for servo in one.found]
     remarks = [remark for one in heard for remark in one.remarks]
@@ -137,7 +137,7 @@ def _read(args: argparse.Namespace) -> int:
 
 
 def _registers(servo: setup.Found, asked: setup.Asked | None) -> tuple[dict[str, int], list[str]]:
-    """Return what the registers of a servo hold, and what keeps it from being driven or is written anew by a start."""
+    """Return the register values of a servo, and a line for each that blocks a start or is rewritten by it."""
     try:
         with opened(servo.port, servo.baud) as bus:
             values = setup.registers(bus, servo.id)

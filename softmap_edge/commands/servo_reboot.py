@@ -1,4 +1,4 @@
-"""`softmap servo reboot`: a servo that has shut itself down is restarted. Hooked into servo.py."""
+"""`softmap servo reboot`: restart a servo that has shut itself down. Registered in servo.py."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def reboot_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def reboot(args: argparse.Namespace) -> int:
-    """Restart one servo, torque off first; 0 when it reports no error any more."""
+    """Restart one servo, torque off first; return 0 if it reports no error afterwards."""
     if not 0 <= args.id <= 252:
         raise ServoError(f"--id {args.id}; allowed are 0 to 252")
     port, baud = _where(args)
@@ -34,7 +34,7 @@ def reboot(args: argparse.Namespace) -> int:
 
 
 def _where(args: argparse.Namespace) -> tuple[str, int]:
-    """Return port and rate of the servo that is meant."""
+    """Return port and baud rate of the selected servo."""
     port, baud = args.port, args.baud
     if args.rig:
         rig = read_rig(args.rig)

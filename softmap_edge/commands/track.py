@@ -128,7 +128,7 @@ def track(args: argparse.Namespace) -> int:
 
 @contextlib.contextmanager
 def _shown_first(done: Callable[[], Tracked | None]) -> Iterator[None]:
-    """Put a recording that broke off aside where there is a result to print before it is reported."""
+    """Report an interrupted recording only after the result is printed, if there is a result."""
     try:
         yield
     except RecordingBroken:

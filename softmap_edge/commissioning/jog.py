@@ -70,7 +70,7 @@ class Jog:
 
     Args:
         travel, slew, current: ticks, ticks/s and mA of a jog, by default the bench's or softmap's; the bench's bind
-            what is given too. tell: is given what a user should know of the servos and the bus, a line each.
+            what is given too. tell: called with each line for the user on the servos and the bus.
 
     Raises:
         ServoError: the port cannot be opened, the loop cannot start, or a servo is not as the rig says.

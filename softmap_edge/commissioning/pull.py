@@ -105,8 +105,8 @@ def pull(
 
     Args:
         found: the limits in force; `[ceiling]` of the rig may bound `jog_slew`, `jog_current` and `jog_travel`.
-        progress: told what moves, and the share of the whole test that is done. tell: is given what a user should know
-            of the servos and the bus, a line each.
+        progress: called with the moving part and the completed share of the test. tell: called with each line for the
+            user on the servos and the bus.
 
     Raises:
         ServoError: a servo reports no current, home is not proved, the finger does not come to its stroke, its current

@@ -1,7 +1,7 @@
 """Restart a servo that has shut itself down: torque off first, its errors before and after, home to be proved again.
 
-A restart clears hardware errors, but also the turns that a servo counts, its mark of a proved home and all registers
-that pass with the power. Pinned by tests/test_reboot.py.
+A restart clears hardware errors, but also the counted turns of a servo, its mark of home and all volatile registers.
+Pinned by tests/test_reboot.py.
 """
 
 from __future__ import annotations
@@ -46,10 +46,10 @@ class Restarted:
 
 
 def restart(port: str, baud: int, id: int) -> Restarted:
-    """Switch the torque of every servo off and restart servo `id`; its home must be proved again.
+    """Switch the torque of every servo off and restart servo `id`; home the robot again afterwards.
 
     Args:
-        port, baud, id: where it is. A loop that drives keeps the port to itself, so that nothing is restarted then.
+        port, baud, id: of the servo. A control loop holds the port exclusively, so no servo restarts while it drives.
 
     Raises:
         ServoError: the port is in use, the servo does not answer, keeps its torque, or still reports an error.
@@ -85,10 +85,10 @@ def _errors(bus: _core.ServoBus, id: int) -> int:
 
 
 def _rebooted(bus: _core.ServoBus, id: int) -> None:
-    """Restart it, several times asked, and wait until it answers again.
+    """Restart a servo, repeating the request, and wait until it answers again.
 
     Raises:
-        ServoError: it does not.
+        ServoError: it does not answer in time.
     """
     for _ in range(TRIES):
         with suppress(NoAnswer):  # it may restart before it answers

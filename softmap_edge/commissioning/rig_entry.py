@@ -1,7 +1,7 @@
-"""A servo that was set up, entered into its rig: in its place, also where it got another id.
+"""Enter a servo that was set up into its rig; it keeps its place if its id changes.
 
-A servo has no serial number. One that was set up before and answers at the rate of the rig is taken for the one that
-the rig lists under the id that it had; one as it is delivered is another servo. Pinned by tests/test_set_up.py.
+A servo has no serial number. A servo that was set up before and answers at the rate of the rig is taken for the one
+listed under its old id. A servo with factory settings is another one. Pinned by tests/test_set_up.py.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ from softmap_edge.servo.rig import Rig, RigServo
 
 @dataclass(frozen=True)
 class Entry:
-    """Where a servo has its place in `rig` (None: a new one): the id listed there, None where it comes last."""
+    """The place of a servo in `rig` (None: a new rig): the id listed there, None if the servo is appended."""
 
     rig: Rig | None
     listed: int | None
 
     @property
     def asked(self) -> Asked | None:
-        """What the rig asks of the servo of that place, but for the gains, which setting up finds."""
+        """The requirements of the rig for this servo, without the gains, which set-up determines."""
         known = {} if self.rig is None else {one.id: one.asked for one in members(self.rig)}
         found = None if self.listed is None else known.get(self.listed)
         return None if found is None else replace(found, gains=())
@@ -36,7 +36,7 @@ def entry_of(rig: Rig | None, found: Found, new_id: int | None, new_baud: int | 
     """Return the place in `rig` of a servo that is about to be set up.
 
     Args:
-        rig: None where there is none yet. found: the servo as it answers now. new_id, new_baud: what it gets.
+        rig: the rig; None if there is none yet. found: the servo as it answers now. new_id, new_baud: its new values.
 
     Raises:
         ServoError: it would have another rate than the rig, or the rig lists its new id for another servo.
@@ -58,10 +58,10 @@ def entry_of(rig: Rig | None, found: Found, new_id: int | None, new_baud: int | 
 
 
 def entered(entry: Entry, done: Found, gains: Sequence[int]) -> Rig:
-    """Return the rig with the servo that was set up in its place; home and measured current are to be found again.
+    """Return the rig with the servo in its place; home and measured current must be found again.
 
     Args:
-        entry: its place. done: the servo as it is now. gains: that it has, in the order of `known_state.GAINS`.
+        entry: its place. done: the servo after set-up. gains: its gains, in the order of `known_state.GAINS`.
     """
     assert done.model is not None
     name = done.model["name"]
@@ -80,7 +80,7 @@ def entered(entry: Entry, done: Found, gains: Sequence[int]) -> Rig:
 
 
 def changes(entry: Entry, found: Found, done: Found, file: str | Path) -> list[str]:
-    """Return what changes in the rig `file` along with the servo itself, a line each."""
+    """Return a line for each change in the rig `file`."""
     if entry.rig is None:
         return []
     ids = [servo.id for servo in entry.rig.servos]

@@ -34,11 +34,11 @@ from softmap_edge.servo.proof import set_mark
 __all__ = ["Asked", "Found", "complaints", "gains", "needs", "registers", "scan", "set_up"]
 
 POSITION = 3  # operating mode
-UNANSWERED = 3  # times that a register is written whose answer cannot be waited for
+UNANSWERED = 3  # times that a register is written if no answer can be expected
 
 
 def scan(port: str, baud: int | None = None) -> Iterator[Found]:
-    """Give every servo that answers at `port`, at one rate or at all of them.
+    """Yield every servo that answers at `port`, at one rate or at all of them.
 
     Raises:
         ServoError: the port cannot be opened; a rate that the adapter lacks is passed over.
@@ -48,7 +48,7 @@ def scan(port: str, baud: int | None = None) -> Iterator[Found]:
 
 
 def scanned(port: str, baud: int | None = None) -> Iterator[Heard]:
-    """Give what answers at `port` and what is wrong about it, rate by rate.
+    """Yield the answers at `port` and their faults, rate by rate.
 
     Raises:
         ServoError: the port cannot be opened; a rate that the adapter lacks is passed over.
@@ -75,12 +75,12 @@ def set_up(
     tell: Callable[[str], None] = lambda line: None,
     asked: Asked | None = None,
 ) -> Found:
-    """Make one servo ready to be driven and prove it by reading back; returns it as it is then.
+    """Make one servo ready to be driven, verify it by reading back, and return its new state.
 
     Args:
         found: the servo. new_id, new_baud: what it gets, where it gets another one.
-        tell: is told each thing that was mended, a line each. asked: what the rig asks of it; without one its limits
-            become those of a servo as delivered.
+        tell: called with a line for each correction. asked: the requirements of the rig; without one its limits become
+            the factory settings.
 
     Raises:
         ServoError: its model is unknown, its firmware has no watchdog, the id or rate is not one it can have, another
@@ -99,7 +99,7 @@ def set_up(
         raise ServoError(
             f"{model['name']} has no rate of {baud} baud; it has {', '.join(map(str, model['baud_rates']))}"
         )
-    asked = most(model) if asked is None else asked  # without a rig nothing binds more tightly than as delivered
+    asked = most(model) if asked is None else asked  # without a rig the factory limits apply
     with opened(found.port, found.baud) as bus:
         if id != found.id:
             _check_free(bus, found, id)
@@ -116,7 +116,7 @@ def set_up(
 
 
 def _proved(now: Found, asked: Asked | None) -> Found:
-    """Return the servo that was set up, once it holds what it must."""
+    """Return the servo if its registers hold the required values; raise ServoError otherwise."""
     with opened(now.port, now.baud) as bus:
         if pinged(bus, now.id) is None:
             raise ServoError(f"{now} does not answer after it was set up; scan again")
@@ -128,10 +128,10 @@ def _proved(now: Found, asked: Asked | None) -> Found:
 
 
 def _check_free(bus: _core.ServoBus, found: Found, id: int) -> None:
-    """Refuse a new id that is taken, or that another servo would take as well.
+    """Check that no other servo has the new id or would take it as well.
 
     Raises:
-        ServoError: so.
+        ServoError: another servo has it, or would take it.
     """
     if pinged(bus, id) is not None:
         raise ServoError(f"id {id} is taken by another servo on this bus; connect one servo at a time")
@@ -145,7 +145,7 @@ def _check_free(bus: _core.ServoBus, found: Found, id: int) -> None:
 
 
 def _answering(bus: _core.ServoBus, id: int, tell: Callable[[str], None]) -> None:
-    """Make a servo answer all questions: its status return level may keep it silent, also about this write."""
+    """Set the status return level so that a servo answers every request; it may not answer this write."""
     address, size, _ = _core.servo_registers()["status_return_level"]
     try:
         level = int.from_bytes(patiently(bus.read, id, address, size), "little")
@@ -166,7 +166,7 @@ def _answering(bus: _core.ServoBus, id: int, tell: Callable[[str], None]) -> Non
 def _made_ready(
     bus: _core.ServoBus, found: Found, model: Entry, tell: Callable[[str], None], asked: Asked | None
 ) -> None:
-    """Write what differs, torque off; the servo chooses its gains again, as it does with each new operating mode."""
+    """Write registers that differ, torque off; the servo then resets its gains, as with each new operating mode."""
     before = registers(bus, found.id)
     if before["torque_enable"]:
         tell("its torque was on: it is off")

@@ -124,7 +124,7 @@ def _enough(frames: int) -> Word:
 
 
 def _folds(run: Run) -> Iterator[Word]:
-    """Say so where the blocks of a run are shorter than the gap that separates held-out frames from the others."""
+    """Report blocks of a run that are shorter than the gap that separates held-out frames from the others."""
     count = 0 if run.timeless else without_gap(run.t_seen, run.block)
     if count:
         text = (

@@ -1,12 +1,12 @@
-"""Compares the clock of the frames with that of the commands: a rate that differs, or a step, from the motion alone.
+"""Compare the clock of the frames with that of the commands: a different rate, or a step, from the motion alone.
 
     y(t) = W φ(t − d(t)) + e        d(t) = a,  a + b (t − t₀),  or  a + s [t ≥ t₁]
 
 φ are a polynomial of the commands, play and lag of several sizes, and gains and places that change linearly with
-time: what the robot remembers, and how it drifts, is no delay. Blocks of time have a delay each, fitted together with
+time, so memory and drift of the robot do not count as delay. Blocks of time have a delay each, fitted together with
 W: with M = 1 − φ(φᵀφ)⁻¹φᵀ and G the slopes of each block, H δ = −Gᵀ M e, H = Gᵀ M G. Line and step are fitted to the
 blocks in the metric H, and the scatter of the blocks gives the uncertainty, so slow changes of the robot widen it.
-What play and lag explain as well is not taken for a clock (`SEPARATE`): a step where the speed of the moves changes.
+A change that play and lag explain as well is not reported (`SEPARATE`): a step where the speed of the moves changes.
 b is the rate: frames stamped by a clock that runs fast by 100 ppm come 100 µs later every second. The constant a is
 latency, or one shift of the clock, and is not reported (`clock_shift`). Units: s, mm. Limits: 200 frames in 20
 s, commands that explain half of the motion, and a change beyond five standard errors; one step. Pinned by
@@ -35,8 +35,8 @@ COMPONENTS = 4  # of the motion of all points
 FOLLOWS = 0.5  # of the variance, that commands must explain
 SURE = 5.0  # standard errors of a rate
 STEP_SURE = 6.0  # of a step, whose place is searched for
-STEP_OVER_LINE = 20.0  # variances of a block by which a step must beat a line
-LEAST_CHANGE = 2e-3  # s over the run: less moves nothing that is seen
+STEP_OVER_LINE = 20.0  # variances of a block by which a step must fit better than a line
+LEAST_CHANGE = 2e-3  # s over the run: smaller changes have no visible effect
 DELAYS = np.arange(-0.5, 1.01, 0.04)  # s that are tried
 PLAYS, LAGS = (0.05, 0.15, 0.4), (0.3, 2.0, 10.0)  # of the range of a channel, and s
 BLOCK_FRAMES, MOST_BLOCKS, LEAST_BLOCKS = 25, 40, 8
@@ -51,9 +51,9 @@ class FrameClock:
     """How the clock of the frames runs against that of the commands.
 
     Attributes:
-        fast_ppm, sigma_ppm: by how much it runs fast, with its standard error; None where the moves do not show it.
-        step_s, step_sigma_s, at_s: by how much it is set forward, and when; None without a step.
-        duration_s: of the frames.
+        fast_ppm, sigma_ppm: its rate error (positive: fast) and standard error; None if the moves do not show it.
+        step_s, step_sigma_s, at_s: size of a forward step, its standard error, and its time; None without a step.
+        duration_s: time span of the frames.
     """
 
     fast_ppm: float | None
@@ -65,7 +65,7 @@ class FrameClock:
 
     @property
     def runs_fast(self) -> bool:
-        """Whether the rates differ beyond doubt, by as much as can be seen."""
+        """Whether the rates differ significantly and by a visible amount."""
         if self.step_s is not None or self.fast_ppm is None or self.sigma_ppm is None:
             return False
         change = 1e-6 * abs(self.fast_ppm) * self.duration_s
@@ -73,7 +73,7 @@ class FrameClock:
 
     @property
     def differs(self) -> bool:
-        """Whether the clocks differ beyond doubt."""
+        """Whether the clocks differ significantly."""
         return self.runs_fast or self.step_s is not None
 
     def __str__(self) -> str:
@@ -111,7 +111,7 @@ def frame_clock(run: Run) -> FrameClock | None:
         run: a run with commands and points.
 
     Returns:
-        FrameClock: the estimate; None where the run does not show it.
+        FrameClock: the estimate; None if the run does not allow one.
     """
     with np.errstate(all="ignore"):  # a run may hold any numbers
         try:
@@ -145,7 +145,7 @@ def _found(run: Run) -> FrameClock | None:
 
 
 def _motion(run: Run) -> tuple[Floats, Floats] | None:
-    """Times (K,) and components (K, P) mm of what was seen, of frames in which all chosen points are known."""
+    """Return times (K,) s and components (K, P) mm of the motion in frames with all chosen points."""
     seen = run.vertices if run.vertices is not None else run.markers
     given = run.command if run.command is not None else run.ticks
     if seen is None or given is None or run.timeless or run.channels == 0:
@@ -232,7 +232,7 @@ def _ridge(columns: Floats, y: Floats) -> Floats:
 
 
 def _constant(memory: _Memory, t: Floats, y: Floats) -> float:
-    """The one delay that explains most."""
+    """Return the constant delay (s) that explains most."""
     some = slice(None, None, max(1, len(t) // 600))
     return float(max(DELAYS, key=lambda late: memory.errors(t[some] - late, y[some]).follows))
 
@@ -300,7 +300,7 @@ class _Line:
 
 
 def _best(blocks: _Blocks) -> _Line:
-    """The course of the delay that blocks show: a step or a line only where it is sure."""
+    """Return the time course of the delay: a step or a line only if it is significant."""
     t = blocks.t
     middle = float(t.mean())
     flat, line = blocks.fit(t, "constant", 0.0), blocks.fit(t - middle, "line", middle)
@@ -325,7 +325,7 @@ def _answer(shape: _Line, t: Floats, stamps: Floats) -> FrameClock:
 
 
 def _place(shape: _Line, t: Floats) -> float:
-    """When the clock was set: at the stamps whose distance shows it, near the place that the blocks show."""
+    """Return the time of the step: the stamps whose distance shows it, near the place found by the blocks."""
     apart = np.diff(t) - np.median(np.diff(t))
     near = np.abs(t[1:] - shape.pivot) < 2 * (t[-1] - t[0]) / LEAST_BLOCKS
     odd = np.where(near, np.sign(shape.value[1]) * apart, -np.inf)

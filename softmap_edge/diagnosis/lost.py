@@ -1,7 +1,7 @@
-"""Points of a run that stand for "not seen": in a run file of an older version, or one that a program wrote.
+"""Find points that stand for "not seen" in run files of older versions or other programs.
 
-`softmap import` sets such points aside and leaves the field `NOT_SEEN` in the run, so that they are not looked for
-again. Any other run is searched in the same way (`logs/not_seen.py`, `logs/shifted.py`).
+`softmap import` sets such points aside and writes the field `NOT_SEEN`, so that the search is not repeated. Any other
+run is searched in the same way (`logs/not_seen.py`, `logs/shifted.py`).
 Pinned by tests/test_not_seen.py.
 """
 
@@ -28,8 +28,8 @@ def lost_points(run: Run, remedy: str = REMEDY) -> tuple[Mask, list[str]]:
     """Find the points of a run that stand for "not seen".
 
     Args:
-        run: of vertices, markers or outputs; with another kind of seen data nothing is found.
-        remedy: ends each sentence.
+        run: a run of vertices, markers or outputs; other kinds of seen data are not searched.
+        remedy: the end of each sentence.
 
     Returns:
         tuple: which points (K, N), and a sentence for each place that stands for "not seen".
@@ -52,13 +52,13 @@ def lost_points(run: Run, remedy: str = REMEDY) -> tuple[Mask, list[str]]:
 
 
 def _looked_for(run: Run) -> bool:
-    """Whether an import looked for such points already, or the user keeps them; no array of this name says so."""
+    """Return whether an import has searched for such points, or the user keeps them; an array does not count."""
     word = run.extra.get(NOT_SEEN)
     return word is not None and word.dtype.kind == "U" and word.size == 1 and str(word.reshape(-1)[0]) in WORDS
 
 
 def without_lost(run: Run, remedy: str = KEEP) -> tuple[Run, list[str]]:
-    """Return a run in which these points are not visible, and the sentences; the run itself where there are none."""
+    """Return a run in which these points are not visible, and the sentences; the same run if there are none."""
     mask, lines = lost_points(run, remedy)
     if not mask.any():
         return run, []

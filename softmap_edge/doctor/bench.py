@@ -125,7 +125,7 @@ def _stops(bench: Rig) -> Iterator[Line]:
 
 
 def _asked(bench: Rig, folder: str | Path | None) -> list[Member]:
-    """Return what is asked of each servo: by the limits in force where they are known, else by the bench alone."""
+    """Return the requirements for each servo: from the limits in force if they are known, else from the rig alone."""
     from softmap_edge.bundle import load_bundle
 
     if folder is not None:

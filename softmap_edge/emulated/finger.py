@@ -207,7 +207,7 @@ def emulated_bench(
 
 
 def _ready(found: Found, home: int) -> list[int]:
-    """Set an emulated servo up, its home proved; it is asked again where a busy computer let it answer late.
+    """Set an emulated servo up and mark it as homed; requests are repeated if a busy computer made an answer late.
 
     Returns its gains.
     """

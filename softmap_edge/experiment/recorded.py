@@ -30,7 +30,7 @@ RECORDING = ".mcap"
 def open_run(path: str | Path, model: Model | None = None) -> Run:
     """Return the run of a file: .npz, or what a control loop recorded (.mcap) with what was seen, if kept beside it.
 
-    A recording that was cut short, or is damaged at one place, is read up to there, and a `RecordingWarning` is given.
+    A recording that was cut short, or is damaged at one place, is read up to there, and a `RecordingWarning` is issued.
 
     Args:
         path: the file.
@@ -48,7 +48,7 @@ def open_run(path: str | Path, model: Model | None = None) -> Run:
 
 
 def open_incomplete(path: str | Path, model: Model | None = None) -> tuple[Run, str | None]:
-    """Return what `open_run` does, without a warning, and a sentence on what the file lacks; None if it is complete.
+    """Return the run as `open_run` does, without a warning, and a sentence on missing data; None if it is complete.
 
     Raises:
         RunError: as `open_run`.
@@ -66,7 +66,7 @@ def open_incomplete(path: str | Path, model: Model | None = None) -> tuple[Run, 
 
 
 def _torn(seen: Path) -> str | None:
-    """Return that the file of what was seen ends amid a line."""
+    """Return a sentence if the last line of a `.seen` file is incomplete; None otherwise."""
     if not seen.is_file() or not seen.stat().st_size:
         return None
     with open(seen, "rb") as stream:
@@ -76,7 +76,7 @@ def _torn(seen: Path) -> str | None:
 
 
 def run_of(told: Recording, model: Model | None = None) -> Run:
-    """Return a recording as a run, with what was seen if that is kept beside it, whatever it lacks.
+    """Return a recording as a run, complete or not, with the frames of its `.seen` file if there is one.
 
     Raises:
         RunError: as `open_run`, but for numbers that may be wrong.

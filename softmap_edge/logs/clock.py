@@ -1,12 +1,12 @@
-"""The times of a log's rows in s: empty and repeated rows left out, and what to do where time does not increase.
+"""Compute the times of a log's rows in s: leave out empty and repeated rows, and handle times that do not increase.
 
-A fall of a clock is named for what it is:
+A clock that runs backwards is classified:
 
 - a *roll-over* falls by 2^16, 2^24 or 2^32 of a unit (or of the counter), or at the full minute, hour or day, so that
   one step of the usual size explains it; `time.jumps = "mend"` counts on;
-- a *step* is one fall (or leap) of a clock that was set; `"mend"` takes it out where it is the only one, and
-  `from_row` and `to_row` cut the log there;
-- rows *out of order* are few; `time.repeated = "drop"` leaves them out, and is offered only where it loses few rows.
+- a *step* is one fall (or leap) of a clock that was set; `"mend"` removes it if it is the only one, and `from_row` and
+  `to_row` cut the log there;
+- rows *out of order* are few; `time.repeated = "drop"` leaves them out, and is offered only if it loses few rows.
 
 Pinned by tests/test_clock.py.
 """
@@ -25,8 +25,8 @@ from softmap_edge.logs.time_keys import TIME, Clock
 from softmap_edge.logs.time_text import DAY, HOUR
 from softmap_edge.time_text import differing
 
-FEW = 0.05  # of the rows: the most that may be left out without a doubt
-_REGULAR = 0.2  # of the usual step: what a clock with jitter stays within
+FEW = 0.05  # of the rows: the most that may be left out without a warning
+_REGULAR = 0.2  # of the usual step: bound on the jitter of a clock
 _SLOWEST = 3.0  # times the 95th percentile of the steps: the longest step that a roll-over may leave
 _BITS = (16, 24, 32)
 _LEAP = 50.0  # times the 95th percentile of the steps: from here on a step forward is a pause or a clock that was set
@@ -40,7 +40,7 @@ class Times:
     Attributes:
         t: (rows,) s, increasing.
         cells: the cells of these rows.
-        notes, doubts: what was done, and what looks wrong; a sentence each.
+        notes, doubts: changes that were made, and suspicious findings; a sentence each.
     """
 
     t: Array
@@ -56,8 +56,8 @@ class Jump:
     Attributes:
         rows: the first row after each fall.
         size_s: s by which time changes there, against the row before.
-        period_s: s of a clock that rolls over; None of one that was set.
-        period: the same in words.
+        period_s: period (s) of a clock that rolls over; None for a clock that was set.
+        period: the period as text.
     """
 
     rows: NDArray[np.int64]
@@ -71,13 +71,14 @@ def times_of(path: Path, where: str, cells: Cells, t: Array, clock: Clock) -> Ti
 
     Args:
         path: the log, for messages.
-        where: what a row is called in it: line, frame, message.
-        cells: the columns that are asked for.
-        t: (rows,) s as the log has them; NaN where it has none.
-        clock: what the mapping says of time.
+        where: the name of a row in this log: line, frame, message.
+        cells: the requested columns.
+        t: (rows,) s as in the log; NaN where there is none.
+        clock: the time declared by the mapping.
 
     Raises:
-        RunError: a row has values and no time, or time does not increase and the mapping does not say what to do.
+        RunError: a row has values and no time, or time does not increase and the mapping does not declare how to
+            handle it.
     """
     notes: list[str] = []
     doubts: list[str] = []
@@ -100,7 +101,7 @@ def times_of(path: Path, where: str, cells: Cells, t: Array, clock: Clock) -> Ti
     if clock.repeated == "drop" and len(t) > 1:
         fresh = increasing(t)
         if not fresh.all():
-            _tell_dropped(t, fresh, row, clock, notes, doubts)
+            _report_dropped(t, fresh, row, clock, notes, doubts)
             t, cells, row = t[fresh], kept(cells, fresh), row[fresh]
     _refuse_falls(path, where, t, cells, row, clock)
     if clock.repeated == "spread" and (shared := int((np.diff(t) == 0).sum())):
@@ -126,7 +127,7 @@ def kept(cells: Cells, keep: NDArray[np.bool_]) -> Cells:
 
 
 def increasing(t: Array) -> NDArray[np.bool_]:
-    """Return which rows (rows,) are later than every row before: what `repeated = "drop"` keeps."""
+    """Return which rows (rows,) are later than every row before: those that `repeated = "drop"` keeps."""
     return np.asarray(np.r_[True, t[1:] > np.maximum.accumulate(t)[:-1]])
 
 
@@ -141,7 +142,7 @@ def _written_twice(t: Array, cells: Cells) -> NDArray[np.bool_]:
     return again
 
 
-def _tell_dropped(
+def _report_dropped(
     t: Array, fresh: NDArray[np.bool_], row: NDArray[np.int64], clock: Clock, notes: list[str], doubts: list[str]
 ) -> None:
     lost, share = int((~fresh).sum()), float((~fresh).mean())
@@ -158,7 +159,7 @@ def _tell_dropped(
 
 # --- roll-overs and steps ------------------------------------------------------------------
 def find_jump(t: Array, clock: Clock) -> Jump | None:
-    """Return the falls of a clock that one cause explains: a roll-over, or one step; None where none does.
+    """Return the falls of a clock that one cause explains: a roll-over, or one step; None if none does.
 
     Args:
         t: (rows,) s.
@@ -186,7 +187,7 @@ def find_jump(t: Array, clock: Clock) -> Jump | None:
 
 
 def _periods(clock: Clock) -> list[tuple[float, str, bool]]:
-    """The s after which clocks begin again, in words, and whether that is a matter of the calendar."""
+    """Return the periods of roll-overs: s, text, and whether the calendar sets them."""
     found = (
         [(2.0**bits * clock.seconds, f"2^{bits} counts") for bits in (8, *_BITS)]
         if clock.seconds not in TIME.values()
@@ -208,7 +209,7 @@ def counting_on(t: Array, jump: Jump) -> Array:
 
 
 def _mended(t: Array, cells: Cells, clock: Clock, row: NDArray[np.int64], notes: list[str], doubts: list[str]) -> Array:
-    """The times without their jumps, where one cause explains them."""
+    """Return the times without their jumps if one cause explains them."""
     jump = find_jump(t, clock) or set_forward(t, cells, clock)
     if jump is None:
         return t
@@ -251,7 +252,7 @@ def set_forward(t: Array, cells: Cells, clock: Clock) -> Jump | None:
 
 
 def _refuse_falls(path: Path, where: str, t: Array, cells: Cells, row: NDArray[np.int64], clock: Clock) -> None:
-    """Raise RunError where time does not increase, with what explains it and the way out."""
+    """Raise RunError if time does not increase, with the cause and the remedy."""
     step = np.diff(t)
     late = step < 0 if clock.repeated == "spread" else step <= 0
     if not late.any():
@@ -287,9 +288,9 @@ def _way_out(t: Array, row: NDArray[np.int64], at: int, jump: Jump | None, back:
 
 
 def spread(t: Array) -> Array:
-    """Return rows of one time evenly from it to the next time.
+    """Return times (rows,) s with the rows of one time spread evenly up to the next time.
 
-    The last ones follow at the usual step, and so do the first where they are fewer than usual: the log began within
+    The last rows follow at the usual step. So do the first rows if they are fewer than usual: the log then began within
     their time.
     """
     first = np.flatnonzero(np.r_[True, np.diff(t) > 0])
@@ -308,10 +309,10 @@ def corrected(t_seen: Array, start: float, fast_ppm: float, step: tuple[float, f
     """Return times of frames (K,) s on the clock of the commands.
 
     Args:
-        t_seen: (K,) s, as the clock of the frames has them.
+        t_seen: (K,) s, on the clock of the frames.
         start: s, where both clocks agree: the first command.
         fast_ppm: by how much the clock of the frames runs fast.
-        step: when it is set (s, as it shows), and by how much (s); None if it is not.
+        step: when that clock is set (s, as it shows), and by how much (s); None if it is not.
 
     Raises:
         RunError: the frames before and after the step would overlap.
@@ -329,7 +330,7 @@ def corrected(t_seen: Array, start: float, fast_ppm: float, step: tuple[float, f
 
 
 def _gaps(where: str, t: Array, cells: Cells) -> list[str]:
-    """Rows that a regular clock should have had."""
+    """Return sentences on rows that are missing from a regular clock."""
     step = np.diff(t)
     if len(step) < 10:
         return []

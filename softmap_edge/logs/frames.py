@@ -40,7 +40,7 @@ def seen(
         tables: the logs. mapping: what their columns are.
         t: (T,) s, times of the commands in `fields`; None without commands.
         fields: the fields of the run so far.
-        notes: gets what was done. doubts: gets what looks wrong.
+        notes: receives changes that were made. doubts: receives suspicious findings.
 
     Raises:
         RunError: several logs hold markers, no frame shows one, or their unit cannot be right.
@@ -119,7 +119,7 @@ def _without_lost(
     notes: list[str],
     doubts: list[str],
 ) -> LogTable:
-    """Return the table with NaN for places that stand for "not seen", and say which."""
+    """Return the table with NaN for places that stand for "not seen", and report them."""
     if quantity.not_seen is None:
         return table
     points = table.numbers(quantity.columns).reshape(len(table.t), -1, axes)

@@ -211,7 +211,7 @@ def _no_place(sheet: Sheet, one: LeftOut) -> str:
 
 
 def _bare_places(sheets: list[Sheet], found: Found, k: int) -> Triples:
-    """The places of a log whose columns have no names."""
+    """Return the places of a log whose columns have no names."""
     triples = places_by_value(sheets[k], set(found.times[k].columns))
     if triples:
         numbers = ", ".join(" ".join(triple) for triple in triples)
@@ -297,7 +297,7 @@ def _drive_units(found: Found) -> None:
 
 
 def _home_in_ticks(rows: Array) -> str:
-    """Say that no log contains home, and how it is declared."""
+    """Return the remark that no log contains home, and how to declare it."""
     low, high = np.nanmin(rows, axis=0), np.nanmax(rows, axis=0)
     middle = ", ".join(f"{-m:.0f}" for m in 0.5 * (low + high))
     return (

@@ -1,8 +1,8 @@
-"""Finds places among columns that have no names, by their values alone.
+"""Find places among columns that have no names, by their values alone.
 
 Three columns next to each other are a place where a unit quaternion follows them, as in a pose; or where they move
-smoothly and keep a distance from the origin that changes little, as points of a robot do, and nothing else that moves
-is left over. Commands start at home and do not. Pinned by tests/test_guess_time.py.
+smoothly and keep a distance from the origin that changes little, as points of a robot do, and no other moving column is
+left over. Commands start at home and do not match. Pinned by tests/test_guess_time.py.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ _STEADY = 0.34  # of the distance from the origin: how far it may change
 
 
 def places_by_value(sheet: Sheet, spent: set[str]) -> list[list[str]]:
-    """Return the triples of columns that are places; [] where values do not decide.
+    """Return the triples of columns that are places; [] if the values do not decide.
 
     Args:
         sheet: a log without a header.
@@ -38,7 +38,7 @@ def places_by_value(sheet: Sheet, spent: set[str]) -> list[list[str]]:
 
 
 def _places(sheet: Sheet, names: list[str]) -> list[int]:
-    """The positions of columns, from that of the first."""
+    """Return the positions of columns, relative to the first."""
     at = [sheet.names.index(name) for name in names]
     return [k - at[0] for k in at]
 

@@ -67,7 +67,7 @@ class Sheet:
     header: bool = True
     bare: list[str] = field(default_factory=list)  # the names as they are in the file, where some may be the same
     kind: str = ""  # the type of the messages of a topic
-    file: str = ""  # what `file` in a mapping says of it
+    file: str = ""  # the `file` of the log in a mapping
     indexed: bool = False  # brackets at the end of a name hold the number or name of an element
     episode: int | None = None  # of a dataset
     clocks: dict[str, str] = field(default_factory=dict)  # columns of dates or times, in s, and their form
@@ -131,7 +131,7 @@ def _sheets_of_recording(group: list[Part]) -> list[Sheet]:
 
 
 def _nothing_readable(path: Path, recorded: list[Topic]) -> RunError:
-    """Return what says why no topic of a recording can be read."""
+    """Return the error that no topic of a recording can be read, with the reason."""
     named = ", ".join(f"{topic.name} ({topic.type})" for topic in recorded)[:200] or "none"
     if not any(topic.count for topic in recorded):
         return RunError(f"{path}: holds no message (topics: {named}); give the recording of a run")
@@ -175,7 +175,7 @@ def _sheet(part: Part, columns: Columns, which: list[int]) -> Sheet:
 
 
 def _unique(names: list[str]) -> list[str]:
-    """Return names of which each is there once: those that are there several times get the number of their column."""
+    """Return unique names: repeated names get the number of their column."""
     count = Counter(names)
     return [f"{name} (column {k})" if count[name] > 1 else name for k, name in enumerate(names)]
 
@@ -204,7 +204,7 @@ def points_of(sheet: Sheet) -> Triples:
     used = {name for one in [*found.places, *(left.columns for left in found.left)] for name in one}
     found = replace(found, places=[*found.places, *_elements(sheet, used)])
     bodies = [one for one in found.places if _turns(sheet, one[0])]
-    if len(bodies) > 1:  # markers of a rigid body repeat what the body says
+    if len(bodies) > 1:  # markers of a rigid body repeat the pose of the body
         return Triples(bodies, found.left)
     others = [one for one in found.places if one not in bodies]
     if found.places:
@@ -214,7 +214,7 @@ def points_of(sheet: Sheet) -> Triples:
 
 
 def _turns(sheet: Sheet, name: str) -> bool:
-    """Whether a place has a rotation: it is that of a rigid body of a motion capture."""
+    """Return whether a place has a rotation: it then belongs to a rigid body of a motion capture."""
     return ".x" in name and name.replace(".x", ".rotation.x") in sheet.names
 
 

@@ -1,8 +1,8 @@
-"""Finds the time of a log: one column, seconds with their nanoseconds, a date with a time of day, or nothing.
+"""Find the time of a log: one column, seconds with their nanoseconds, a date with a time of day, or nothing.
 
-A column whose cells are dates or times always counts, whatever its name. Otherwise a column that rises throughout and
-is called so, or is the first; a clock that falls counts where one roll-over or one step explains it. Full seconds that
-repeat are completed by the fraction next to them: of the same name, or because it falls only where they rise. Pinned by
+A column whose cells are dates or times always counts. Otherwise a column counts if it rises throughout and has the name
+of a time, or is the first. A clock that falls counts if one roll-over or one step explains it. Full seconds that repeat
+are completed by the fraction next to them: of the same name, or because it falls only where they rise. Pinned by
 tests/test_guess_time.py.
 """
 
@@ -22,7 +22,7 @@ from softmap_edge.logs.time_keys import NO_TIME, ROW_S, TIME, Clock
 from softmap_edge.logs.time_text import DAY
 
 Array = NDArray[np.float64]
-RATE_HZ = 100  # of a counter, where nothing says better
+RATE_HZ = 100  # assumed rate of a counter
 _COUNTERS = re.compile(r"^(id|frame#?|index|idx|sample|row|count(er)?|nr|no|n|#|)$", re.IGNORECASE)
 _TIMES = re.compile(r"^t$|time|stamp|clock|^sec|^t_|_t$", re.IGNORECASE)
 _WHOLE = re.compile(r"(seconds|secs?|s)$", re.IGNORECASE)
@@ -41,10 +41,10 @@ class TimeFound:
     """The time of a log.
 
     Attributes:
-        columns: its columns; none where the rows only count.
-        unit: of the first: of `TIME`, `rows` of a counter, or `none`.
+        columns: its columns; empty if only the rows count.
+        unit: of the first column: of `TIME`, `rows` for a counter, or `none`.
         why: the reason, as a part of a sentence.
-        line: the `time` of the mapping that is proposed.
+        line: the proposed `time` of the mapping.
         seconds: (rows,) s.
         calendar: whether it counts since 1970, or since midnight.
     """
@@ -62,10 +62,10 @@ def time_of(sheet: Sheet, alone: bool = True) -> TimeFound:
 
     Args:
         sheet: the log.
-        alone: whether no other log has to be joined to it by time.
+        alone: whether no other log is joined to it by time.
     """
     single = _single(sheet)
-    pair = _date_and_day(sheet) or _whole_and_fraction(sheet)
+    pair = _date_and_day(sheet) or _seconds_and_fraction(sheet)
     if pair is not None and (single is None or single in pair[0]):
         return _of_pair(sheet, *pair)
     if single is not None:
@@ -89,7 +89,7 @@ def _known(sheet: Sheet, name: str) -> Array:
 
 
 def cell(sheet: Sheet, name: str) -> str:
-    """Return a column as the mapping names it: by number where there is no header, or where the name is there twice."""
+    """Return a column as written in a mapping: by number without a header or if the name occurs twice."""
     k = sheet.names.index(name)
     if not sheet.header or sheet.names.count(name) > 1 or (sheet.bare and sheet.bare.count(sheet.bare[k]) > 1):
         return str(k)
@@ -193,7 +193,7 @@ def _of_column(sheet: Sheet, name: str) -> TimeFound:
 
 
 def _repeated(known: Array) -> list[str]:
-    """What the mapping says of rows that share a time."""
+    """Return the keys of the mapping for rows that share a time."""
     same = (np.diff(known) == 0).mean() if len(known) > 1 else 0.0
     return ['repeated = "spread"'] if same > 0.05 else ['repeated = "drop"'] if same > 0 else []
 
@@ -254,7 +254,7 @@ def _date_and_day(sheet: Sheet) -> tuple[tuple[str, str], tuple[str, str], str] 
     return (dates[0], days[0]), ("s", "s"), f"'{dates[0]}' holds dates and '{days[0]}' times of day"
 
 
-def _whole_and_fraction(sheet: Sheet) -> tuple[tuple[str, str], tuple[str, str], str] | None:
+def _seconds_and_fraction(sheet: Sheet) -> tuple[tuple[str, str], tuple[str, str], str] | None:
     """Full seconds, and the fraction of a second in another column."""
     for full in sheet.names:
         stem = _WHOLE.sub("", full)

@@ -1,11 +1,11 @@
 """Find markers that stand still to the last digit while the robot moves: a tracker that repeats the last place.
 
-A marker that repeats its place is compared with what the others do. Its place is predicted from that of each of them by
-least squares over the frames in which it is fresh. If most predictions move on, far beyond their error and the digits
-of the file, the marker was lost. If all markers stand still together while the commands move, they were lost in a
-recording with noise: no sensor repeats its noise, but a simulation in a play does. In a recording without noise they
-were lost if they jump afterwards to where the commands brought them: a body that leaves a play or a stop does not jump.
-Limit: a marker that is lost while the robot rests is not found, and does no harm. Pinned by tests/test_not_seen.py.
+A marker that repeats its place is compared with the other markers. Its place is predicted from each of them by least
+squares over the frames in which it is fresh. If most predictions move on, far beyond their error and the digits of the
+file, the marker was lost. If all markers stand still together while the commands move, they were lost in a recording
+with noise: no sensor repeats its noise, but a simulation in a play does. In a recording without noise they were lost if
+they jump afterwards to where the commands brought them: a body that leaves a play or a stop does not jump.
+Limit: a marker that is lost while the robot rests is not found, which is harmless. Pinned by tests/test_not_seen.py.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ def _runs(again: Mask, least: int) -> Iterator[tuple[int, int]]:
 
 
 def _against_others(points: Array, again: Mask, m: int) -> Iterator[Held]:
-    """Yield where one marker stands still while most of the other markers say that it moves."""
+    """Yield where one marker stands still although most other markers show that it moves."""
     rows = np.flatnonzero(again[:, m])
     if not len(rows) or points.shape[1] < 2:
         return
@@ -112,9 +112,9 @@ def _digit(places: Array) -> float:
 
 
 def _against_commands(points: Array, again: Mask, u: Array | None) -> list[Held]:
-    """Return where all markers that are seen stand still while the commands move, in a recording with noise.
+    """Return where all visible markers stand still while the commands move.
 
-    Or where the markers jump afterwards to where the commands have brought them.
+    In a recording without noise, the markers must also jump afterwards to where the commands have brought them.
     """
     known = np.asarray(np.isfinite(points).all(axis=2), np.bool_)
     frozen = np.asarray(again.any(axis=1) & (again | ~known).all(axis=1), np.bool_)

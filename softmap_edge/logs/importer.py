@@ -43,7 +43,7 @@ _TO_SI = {"g": 1.0, "kg": 1000.0, "N": 1000.0 / _core.STANDARD_GRAVITY, "mA": 1.
 
 @dataclass(frozen=True)
 class Imported:
-    """A run, what was done to make it, what looks wrong in it, and what its logs lack; one sentence each."""
+    """A run, with a sentence for each change made, each suspicious finding, and each damage of its logs."""
 
     run: Run
     notes: tuple[str, ...]
@@ -52,10 +52,10 @@ class Imported:
 
 
 def import_logs(paths: Sequence[str | os.PathLike[str]], mapping: Mapping) -> Imported:
-    """Read logs by a mapping; logs that are damaged or were cut give a `RecordingWarning` each.
+    """Read logs by a mapping; issue a `RecordingWarning` for each log that is damaged or was cut.
 
     Args:
-        paths: the logs, or folders of a recording; the mapping says by their names which is which.
+        paths: the logs, or folders of a recording; the mapping identifies them by their names.
         mapping: from `read_mapping`.
 
     Raises:
@@ -119,7 +119,7 @@ def _spool(mapping: Mapping) -> dict[str, Array]:
 
 
 def _looked_for(mapping: Mapping, fields: dict[str, Any]) -> dict[str, NDArray[Any]]:
-    """Return the word that places which stand for "not seen" were looked for, or that the mapping keeps them."""
+    """Return the field that marks the search for places that stand for "not seen" as done, or as switched off."""
     if "markers" not in fields:
         return {}
     kept = any(seen is not None and seen.not_seen is None for log in mapping.logs for seen in (log.markers, log.output))
@@ -253,7 +253,7 @@ def _resample_commands(
 
 
 def _frames_clock(t: Array, t_seen: Array, mapping: Mapping, notes: list[str]) -> Array:
-    """The times of the frames on the clock of the commands, where the mapping states how theirs differs."""
+    """Return the times of the frames on the clock of the commands, corrected as the mapping states."""
     if mapping.fast_ppm == 0.0 and mapping.clock_step is None:
         return t_seen
     start, step = float(t[0]), mapping.clock_step

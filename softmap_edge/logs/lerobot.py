@@ -1,8 +1,9 @@
-"""What LeRobot writes around its data: `meta/info.json` of a dataset, and the calibration of an arm.
+"""Read the metadata of LeRobot: `meta/info.json` of a dataset, and the calibration of an arm.
 
 A dataset holds many episodes of one robot in Parquet files; its info names the elements of `action` and
-`observation.state`. A calibration says which raw ticks each motor may take; it holds no length, so it is no calibration
-of a tendon, and it is explained instead of used. Reference: LeRobot's dataset format v2.1 and v3.0, `MotorCalibration`.
+`observation.state`. A calibration lists the raw ticks that each motor may take. It holds no length, so it is no
+calibration of a tendon, and it is explained instead of used. Reference: LeRobot's dataset format v2.1 and v3.0,
+`MotorCalibration`.
 """
 
 from __future__ import annotations
@@ -27,12 +28,12 @@ _SHOWN = 4  # motors that a message lists
 
 @dataclass(frozen=True)
 class Info:
-    """What a dataset says of itself.
+    """The metadata of a dataset.
 
     Attributes:
-        version: `v3.0`.
-        fps: rows a second, if given.
-        names: of a feature, what its elements are called.
+        version: the format version, such as `v3.0`.
+        fps: rows per second, if given.
+        names: the names of the elements of each feature.
     """
 
     version: str
@@ -41,7 +42,7 @@ class Info:
 
 
 def is_dataset(folder: Path) -> bool:
-    """Whether a folder is a dataset of LeRobot."""
+    """Return whether a folder is a dataset of LeRobot."""
     return (folder / INFO).is_file()
 
 
@@ -104,7 +105,7 @@ def _names(feature: Any) -> list[str]:
 
 # --- calibration ---------------------------------------------------------------------------
 def explained(document: Any) -> str | None:
-    """Return what a calibration of LeRobot says and what to do with it; None for another document."""
+    """Return an explanation of a calibration of LeRobot and how to use it; None for another document."""
     if not isinstance(document, dict) or not 0 < len(document) <= _MOST:
         return None
     motors = {str(name): motor for name, motor in document.items() if isinstance(motor, dict) and motor.keys() >= _KEYS}
@@ -114,8 +115,9 @@ def explained(document: Any) -> str | None:
     more = f" and {len(motors) - _SHOWN} more" if len(motors) > _SHOWN else ""
     first = next(iter(motors.values()))
     return (
-        f"is the calibration of a LeRobot arm, no log: {listed}{more}. It says which ticks each motor may take, not "
-        f"how many mm a tick moves. Import the dataset itself; values from -100 to 100 become ticks in the mapping by "
+        f"is the calibration of a LeRobot arm, no log: {listed}{more}. It holds the ticks that each motor may "
+        "take, not how many mm a tick moves. Import the dataset itself; values from -100 to 100 become ticks in the "
+        "mapping by "
         f"ticks = {{ columns = [ONE], {_line(first)} }} of each motor, and `softmap calibrate` finds their mm"
     )
 

@@ -336,7 +336,7 @@ def _held(name: str) -> tuple[tuple[str, ...], str]:
 
 
 def _labels(table: TomlTable, name: str, columns: list[Column], axes: int) -> tuple[str, ...]:
-    """The names of the markers: as given, else what the names of their columns begin with."""
+    """Return the names of the markers: as given, else the common prefix of their column names."""
     if name != "markers":
         return ()
     count = len(columns) // axes

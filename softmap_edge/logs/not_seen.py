@@ -5,11 +5,11 @@ real marker repeats a place only where the robot rests. A place of a marker that
 
     marked    its three numbers are equal (0, 0, 0), or it repeats to the last digit, and
     alone     it lies far from every other place of the marker, or
-    jumps     the marker jumps there and back, farther than it ever moves between two frames, or
+    jumps     the marker jumps to it and away, farther than it ever moves between two frames, or
     driven    it stays the same while a command crosses half of its range, and no other place repeats
 
 A place that only repeats, with three different numbers, needs `alone` and one of the others. A marker that is alone at
-rest, under one command near which it is seen nowhere else, is not judged. A marker that never moves stays.
+rest, under one command near which it is seen nowhere else, is not tested. A marker that never moves is kept.
 Limits: a place that occurs once and is not three equal numbers; fewer than `LEAST` frames.
 Pinned by tests/test_not_seen.py.
 """
@@ -27,20 +27,20 @@ from softmap_edge.logs.held_places import Held, held_places
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-LEAST = 5  # frames of a marker: fewer say nothing
+LEAST = 5  # frames of a marker: fewer are not enough
 MOVES = 3  # different places of a marker that moves
 ALONE = 3.0  # of the usual distance between places of the marker that are neighbours
 APART = 0.25  # of the extent of its other places, likewise; of a number, its complete extent
 JUMPS = 2.0  # of the longest of its other steps
 DRIVEN = 0.5  # of the range of a command: more than a play
-DISTINCT = 0.9  # of the other places that occur once: a sensor with noise repeats none
+DISTINCT = 0.9  # share of the other places that occur once: a sensor with noise repeats none
 AT_REST, NEAR = 0.05, 0.1  # of the range of each command: one command, and a command nearly the same
 STEEP = 3.0  # of the extent of a marker for the range of a command: no marker moves farther
-MOST = 3  # repeated places of one marker that are looked at
+MOST = 3  # repeated places of one marker that are tested
 MARKS = 10  # places of three equal numbers, likewise
 MANY = 64  # points of a frame: of more, such as vertices, only three equal numbers are looked at
 _SAMPLE = 300  # places between which distances are taken
-_TOLD = 5  # markers that are named one by one
+_LISTED = 5  # markers that are named one by one
 
 
 @dataclass(frozen=True)
@@ -84,8 +84,8 @@ class Lost:
 
 def _named(counts: list[tuple[str, int]]) -> str:
     counts = sorted(counts, key=lambda pair: -pair[1])
-    more = f" and {len(counts) - _TOLD} more" if len(counts) > _TOLD else ""
-    return ", ".join(f"{name} {count}" for name, count in counts[:_TOLD]) + more
+    more = f" and {len(counts) - _LISTED} more" if len(counts) > _LISTED else ""
+    return ", ".join(f"{name} {count}" for name, count in counts[:_LISTED]) + more
 
 
 def not_seen(points: Array, commands: Array | None = None) -> Lost:
@@ -188,7 +188,7 @@ class _Seen:
 
 
 def _stands_for_lost(seen: _Seen, k: int, rest: Mask, marked: bool, lost: Mask) -> bool:
-    """Whether distinct place `k` is none, seen against the distinct places `rest`; `lost` are none."""
+    """Return whether distinct place `k` is no place, compared with the distinct places `rest`; `lost` are no places."""
     at, u = seen.which == k, seen.drive
     driven = u is not None and at.sum() > 2 and bool(np.ptp(u[at], axis=0).max() > DRIVEN)
     total = int(seen.count[rest].sum())

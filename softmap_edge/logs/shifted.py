@@ -4,7 +4,7 @@ Trackers without labels write the markers that they see one after the other. If 
 and the last column is empty. In such a log the markers that are seen always fill the first columns. In a frame with
 all markers the columns are right. From it, each next frame is matched in order, with the least total distance to the
 last places; a marker counts as found in another column if it moved by at most `CLEAR` of the distance between the two.
-Limit: frames so far apart that markers move farther are not judged. Pinned by tests/test_shifted.py.
+Limit: frames so far apart that markers move farther are not tested. Pinned by tests/test_shifted.py.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ Whole = NDArray[np.intp]
 
 CLEAR = 0.3  # of the distance between two markers: what a marker may have moved when it is found in another column
 MOST = 64  # markers of a list: matching takes their square
-_TOLD = 5
+_LISTED = 5
 
 
 @dataclass(frozen=True)
@@ -43,11 +43,11 @@ class Shifted:
         return right
 
     def line(self, labels: Sequence[str], remedy: str) -> str:
-        """Return the sentence that says so."""
+        """Return the sentence that reports the shifted columns."""
         wrong = self.wrong
         columns = np.flatnonzero(wrong.any(axis=0))
-        named = ", ".join(labels[m] for m in columns[:_TOLD])
-        named += f" and {len(columns) - _TOLD} more" if len(columns) > _TOLD else ""
+        named = ", ".join(labels[m] for m in columns[:_LISTED])
+        named += f" and {len(columns) - _LISTED} more" if len(columns) > _LISTED else ""
         return (
             f"{int(wrong.any(axis=1).sum())} of {len(wrong)} frames list fewer markers, and a column after the lost "
             f"one shows the next marker: {named}; {remedy}"

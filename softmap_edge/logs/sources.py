@@ -1,7 +1,7 @@
-"""What the paths given to `softmap import` are (files, folders, packed files), and which log of a mapping is which.
+"""Find the files behind the paths of `softmap import` (files, folders, packed files), and assign them to logs.
 
-A folder stands for its files, a packed file for what is in it. Several recordings that fit one log are its parts; logs
-that a mapping describes alike, but for `file`, are one log in parts. Pinned by tests/test_containers.py.
+A folder stands for its files, a packed file for its contents. Several recordings that fit one log are its parts. Logs
+whose mappings differ only in `file` are one log in parts. Pinned by tests/test_containers.py.
 """
 
 from __future__ import annotations
@@ -38,10 +38,10 @@ class Part:
     Attributes:
         given: the path that the user gave: the file, or its folder.
         path: the file as it lies on the disk.
-        file: the same, or what was in it when unpacked.
+        file: the same, or its unpacked content.
         kind: its format, from `kind_of`.
-        notes: what to know about the path given.
-        keep: what must stay while the file is read.
+        notes: remarks on the given path.
+        keep: an object that must stay alive while the file is read.
     """
 
     given: Path
@@ -88,7 +88,7 @@ def _part(given: Path, path: Path) -> Part:
 
 @contextmanager
 def called(file: Path, path: Path) -> Iterator[None]:
-    """Let a fault name the path that the user knows, not where it was unpacked."""
+    """Make errors name the path that the user gave, not the unpacked file."""
     try:
         yield
     except RunError as fault:
@@ -99,7 +99,7 @@ def called(file: Path, path: Path) -> Iterator[None]:
 
 @contextmanager
 def named(parts: Sequence[Part]) -> Iterator[None]:
-    """Let a fault name the paths that the user knows, as `called` does, for all files."""
+    """Make errors name the paths that the user gave, as `called` does, for all files."""
     with ExitStack() as stack:
         for part in parts:
             stack.enter_context(called(part.file, part.path))
@@ -160,7 +160,7 @@ def _recording(parts: Sequence[Part], topic: str | None, most: int | None = None
     named = {one.name: one.type for listed in held for one in listed}
     if topic is None and len(named) != 1:
         listed = ", ".join(f"{name} ({kind})" for name, kind in named.items())[:300] or "none"
-        raise RunError(f'{parts[0].given}: holds {len(named)} topics ({listed}); say in the mapping which: topic = "…"')
+        raise RunError(f'{parts[0].given}: holds {len(named)} topics ({listed}); name one in the mapping: topic = "…"')
     asked = next(iter(named)) if topic is None else topic
     holders = [part for part, listed in zip(parts, held) if asked in (one.name for one in listed)]
     if not holders:
@@ -196,7 +196,7 @@ def groups_of(parts: Sequence[Part]) -> list[list[Part]]:
 
 
 def pattern_of(group: Sequence[Part]) -> str:
-    """Return what `file` in a mapping says of a group."""
+    """Return the `file` of a group in a mapping."""
     first = group[0]
     if first.of_folder or len(group) == 1:
         return glob.escape(first.given.name)
@@ -206,7 +206,7 @@ def pattern_of(group: Sequence[Part]) -> str:
 # --- which log is which --------------------------------------------------------------------
 @dataclass(frozen=True)
 class Chosen:
-    """The files of one log of a mapping, and what messages call them."""
+    """The files of one log of a mapping, and their name in messages."""
 
     label: str
     parts: tuple[Part, ...]
@@ -221,7 +221,7 @@ def assign(parts: list[Part], mapping: Mapping) -> tuple[Mapping, list[Chosen]]:
     """Find the files of each log of a mapping.
 
     Returns:
-        The mapping, logs that differ in `file` alone made one, and the files of each of its logs.
+        The mapping, in which logs that differ in `file` alone are merged, and the files of each of its logs.
 
     Raises:
         RunError: a log has no file, or several that are no parts of one recording; or a file has no log.
@@ -261,7 +261,7 @@ def _alike(logs: tuple[Log, ...]) -> tuple[list[Log], list[list[str]]]:
 
 
 def _described(value: Any) -> str:
-    """Return all that a log of a mapping says, as text."""
+    """Return all keys of a log in a mapping, as text."""
     if isinstance(value, np.ndarray):
         return str(value.tolist())
     if isinstance(value, dict):
@@ -291,7 +291,7 @@ def _with_episode(fits: list[Part], log: Log, mapping: Mapping) -> list[Part]:
     if log.episode is None:
         raise RunError(
             f"{mapping.path}: {fits[0].given.name} holds many episodes in {len(fits)} files, and each is a run of its "
-            "own; say in the mapping which: episode = 0"
+            "own; name one in the mapping: episode = 0"
         )
     called = [part for part in fits if part.path.stem == f"episode_{log.episode:06d}"]  # LeRobot before v3
     for part in called or fits:

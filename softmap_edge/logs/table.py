@@ -113,7 +113,7 @@ def read_log(path: Path, log: Log, columns: Columns | None = None) -> LogTable:
 
     Args:
         path: the log.
-        log: what the mapping says of it.
+        log: its entry in the mapping.
         columns: the log, if it is open already.
 
     Raises:
@@ -157,7 +157,7 @@ def _cut(path: Path, cells: Cells, log: Log) -> Cells:
 
 
 def _assumed(clock: Clock, rows: int) -> tuple[str, ...]:
-    """Say that times come from a rate that is not confirmed."""
+    """Return a sentence if the times come from a rate that is not confirmed."""
     if not clock.assumed:
         return ()
     what = "the number of the row" if clock.column is None else f"'{clock.column}'"
@@ -220,7 +220,7 @@ def _within_reason(path: Path, where: str, cells: Cells, places: list[int], name
 
 
 def _set_aside(where: str, cells: Cells, clocks: list[int]) -> tuple[Cells, list[str]]:
-    """Leave out rows that hold a time and nothing else that the mapping names: those of another publisher or device.
+    """Leave out rows that hold a time but no other column of the mapping: those of another publisher or device.
 
     Messages always; rows of other logs where time does not rise with them.
     """

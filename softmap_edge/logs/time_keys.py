@@ -1,4 +1,4 @@
-"""The `time` of a mapping: which columns hold time, in which unit, and what to do where it does not increase."""
+"""The `time` of a mapping: its columns, their units, and the treatment of times that do not increase."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ class Clock:
         column: the column of time, or of the seconds; None for the number of the row.
         seconds: s of one unit, or of one count.
         offset_s: added to every time.
-        repeated: what happens to rows whose time does not increase.
+        repeated: the treatment of rows whose time does not increase.
         timeless: whether the log has no time.
         date_order: `dmy` or `mdy` of dates such as 5/7/2031; None where the rows decide.
         more: columns that are added, with s of one unit of each: nanoseconds to seconds, a time of day to a date.
-        jumps: `mend` to count on over a roll-over, and to take out one step of a clock that was set.
+        jumps: `mend` to count on over a roll-over, and to remove one step of a clock that was set.
         assumed: whether the rate is an assumption.
     """
 

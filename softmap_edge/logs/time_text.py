@@ -1,4 +1,4 @@
-"""Reads time as people write it: ISO 8601, local dates, times of day; as seconds.
+"""Read dates and times as text (ISO 8601, local dates, times of day) and return seconds.
 
 | form | example | seconds since |
 |---|---|---|
@@ -109,7 +109,7 @@ class TimeText:
         return _ordered(both)
 
     def words(self) -> str:
-        """Return what this form is called."""
+        """Return the name of this form."""
         names = {"ymd": "date (year-month-day)", "local": "date", "named": "date with the name of a month"}
         return names.get(self.form, "time of day (hours:minutes:seconds)")
 
@@ -123,7 +123,7 @@ def is_time(cell: str) -> bool:
 
 
 def form_of(cell: str) -> str | None:
-    """Return the form in which a time is written; None where a cell is none."""
+    """Return the form in which a time is written; None if the cell is no time."""
     cell = cell.strip()
     if not 4 <= len(cell) <= _LONGEST or not any(map(cell.count, ":-/.T ")) or not any(c.isdigit() for c in cell):
         return None
@@ -162,7 +162,7 @@ def counted_on(seconds: Array, period: float) -> tuple[Array, str | None]:
 
 
 def _ordered(both: Array) -> tuple[Array, str | None]:
-    """Of two orders of day and month the one that the rows allow."""
+    """Return the times in the order of day and month that the rows allow, and a note."""
     there = ~np.isnan(both).all(axis=1)
     possible = [not np.isnan(both[there, k]).any() for k in (0, 1)]
     if not any(possible):

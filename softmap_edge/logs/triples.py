@@ -1,4 +1,4 @@
-"""Find the triples of columns that are x, y, z of a place, and name those that are something else, with the reason.
+"""Find the triples of columns that are x, y, z of a place, and name all other triples, with the reason.
 
 A triple is found by its names: `tip_x, tip_y, tip_z`, `x1, y1, z1`, `p_tip(1), p_tip(2), p_tip(3)`. Forces, angles and
 rates are triples too. Three things decide, in this order:
@@ -8,7 +8,7 @@ rates are triples too. Three things decide, in this order:
     size    any other name counts as a place only if it fits the places: near them, within a factor `FITS` of their
             distance from the origin, and not within ±π, where angles and unit vectors are
 
-Triples whose names differ in digits only (`m1`, `m2`, `m3`) are judged together. In doubt a triple is left out.
+Triples whose names differ in digits only (`m1`, `m2`, `m3`) are classified together. In doubt a triple is left out.
 Pinned by tests/test_triples.py.
 """
 
@@ -68,24 +68,24 @@ class LeftOut:
 
 @dataclass(frozen=True)
 class Triples:
-    """What comes in threes in a log: the places, in the file's order, and what was left out."""
+    """The triples of a log: the places, in the file's order, and the columns that were left out."""
 
     places: list[list[str]] = field(default_factory=list)
     left: list[LeftOut] = field(default_factory=list)
-    by_size: list[list[str]] = field(default_factory=list)  # of the places, those whose names say nothing
+    by_size: list[list[str]] = field(default_factory=list)  # of the places, those with uninformative names
 
 
 @dataclass(frozen=True)
 class _Candidate:
-    """A triple of columns, its name without axis and digits, and whether its name says that it is a place."""
+    """A triple of columns, its name without axis and digits, and whether its name marks it as a place."""
 
     columns: list[str]
     stem: str
     named: bool
-    other: str | None  # what its name says that it is
+    other: str | None  # the other quantity that its name indicates
     size: float  # distance from the origin, median
     largest: float
-    steady: str | None  # what its values say that it is
+    steady: str | None  # the other quantity that its values indicate
     middle: Array  # (3,) median place
     extent: float  # of its places
 
@@ -103,7 +103,7 @@ def find_triples(names: Sequence[str], bare: Sequence[str], rows: Rows, is_lengt
     fours = [columns for columns, _ in found if len(columns) == 4]
     turned = [LeftOut(tuple(four), "a quaternion") for four in fours if np.nanmax(np.nanstd(rows(four), axis=0)) > 0]
     candidates = [_candidate(one, stem, rows, is_length) for one, stem in found if len(one) == 3]
-    accepted, left = _judged(_families(candidates))
+    accepted, left = _classified(_families(candidates))
     order = {one.columns[0]: k for k, one in enumerate(candidates)}
     places = sorted((one.columns for family in accepted for one in family), key=lambda columns: order[columns[0]])
     loose = [one.columns for family in accepted for one in family if not one.named]
@@ -118,7 +118,7 @@ def _families(candidates: list[_Candidate]) -> list[list[_Candidate]]:
     return list(families.values())
 
 
-def _judged(families: list[list[_Candidate]]) -> tuple[list[list[_Candidate]], list[LeftOut]]:
+def _classified(families: list[list[_Candidate]]) -> tuple[list[list[_Candidate]], list[LeftOut]]:
     """Return the families of triples that are places, and the others with the reason."""
     left: list[LeftOut] = []
     standing: list[list[_Candidate]] = []
@@ -137,7 +137,7 @@ def _judged(families: list[list[_Candidate]]) -> tuple[list[list[_Candidate]], l
         named, unnamed = _by_size(unnamed)
     known = _together([one for family in named for one in family]) if named else None
     for family in unnamed:
-        assert known is not None  # without a name that says so, the largest set stands for the places
+        assert known is not None  # without an informative name, the largest set is taken for places
         why = _misfit(_together(family), known)
         if why is None:
             named.append(family)
@@ -147,7 +147,7 @@ def _judged(families: list[list[_Candidate]]) -> tuple[list[list[_Candidate]], l
 
 
 def _by_size(families: list[list[_Candidate]]) -> tuple[list[list[_Candidate]], list[list[_Candidate]]]:
-    """Return the families that stand for the places where no name says so, and the others.
+    """Return the families that are taken for places if no name marks one, and the others.
 
     Those beyond ±π, and of them those nearest in size to the largest set; if all are within it, all: places in m.
     """
@@ -180,7 +180,7 @@ def _together(family: list[_Candidate]) -> _Set:
 
 
 def _misfit(family: _Set, known: _Set) -> str | None:
-    """Return why triples without a telling name are no places alongside the `known` places; None if they are."""
+    """Return why triples without an informative name are no places alongside the `known` places; None if they are."""
     if family.largest <= np.pi:
         return "angles, within ±π" if known.largest > np.pi else "angles or places in m, for they are within ±π"
     if not known.size / FITS < family.size < known.size * FITS:
@@ -219,7 +219,7 @@ def _steady(points: Array, length: Array) -> str | None:
 
 
 def _by_name(stem: str) -> tuple[str | None, bool]:
-    """Return what a name says that a triple is other than a place, and whether it says that it is a place."""
+    """Return the other quantity that a name indicates (None: no other), and whether it marks a place."""
     words = [word.lower() for word in _WORD.findall(stem)]
     text = "_".join(words)
     place = any(_PLACE.search(word) or word in _SHORT_PLACE for word in words) or not words
@@ -247,7 +247,7 @@ def find_pairs(names: Sequence[str], bare: Sequence[str], rows: Rows) -> Triples
 
     pairs = list(_pairs(list(names), list(bare), rows))
     families = _families([_candidate(one, stem, padded, lambda _: False) for one, stem in pairs])
-    accepted, left = _judged(families) if any(family[0].named for family in families) else ([], [])
+    accepted, left = _classified(families) if any(family[0].named for family in families) else ([], [])
     order = {pair[0]: k for k, (pair, _) in enumerate(pairs)}
     places = sorted((one.columns for family in accepted for one in family), key=lambda columns: order[columns[0]])
     return Triples(places, left, [one.columns for family in accepted for one in family if not one.named])
@@ -281,7 +281,7 @@ def _triples(names: list[str], bare: list[str], rows: Rows) -> Iterator[tuple[li
 
 
 def _letters(name: str) -> list[int]:
-    """Return where a name has an x, the last first; nowhere in a name that no person writes."""
+    """Return the positions of x in a name, the last first; none for a name that is too long."""
     return [i for i in range(len(name) - 1, -1, -1) if name[i] in "xX"] if len(name) <= LONGEST else []
 
 
@@ -303,7 +303,7 @@ def _by_letter(names: list[str], bare: list[str]) -> Iterator[tuple[list[str], s
 
 
 def _by_number(names: list[str], bare: list[str]) -> Iterator[tuple[list[str], str]]:
-    """Yield triples of neighbours that count 1, 2, 3 or 0, 1, 2 in brackets, if their name says that it is a place."""
+    """Yield triples of neighbours that count 1, 2, 3 or 0, 1, 2 in brackets, if their name marks a place."""
     groups: dict[str, list[tuple[int, int]]] = {}
     for k, name in enumerate(bare):
         if len(name) <= LONGEST and (parts := _INDEX.match(name)) is not None and parts[1]:

@@ -124,7 +124,7 @@ class Kinematics:
 
     @property
     def home(self) -> Floats:
-        """The command (C,) at rest, as far as it is within the range that is usable."""
+        """The command (C,) at rest, limited to the usable range."""
         return home_command(self.bounds)
 
     @cached_property

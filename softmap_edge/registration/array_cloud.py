@@ -1,6 +1,6 @@
 """Read a cloud that numpy saved: `.npy`, or an `.npz` archive with `points`, or with one array of places of any name.
 
-Sizes that a header claims are held to the bytes that are there before memory is taken; objects are never read.
+Sizes in a header are compared with the bytes of the file before memory is allocated; objects are never read.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ _ROWS = 2000  # from which columns are decided
 
 
 def names_in(path: Path) -> list[str]:
-    """Return the names of the arrays in an archive; none of what is no archive."""
+    """Return the names of the arrays in an archive; none if the file is no archive."""
     try:
         with zipfile.ZipFile(path) as archive:
             return [name.removesuffix(".npy") for name in archive.namelist()]
-    except Exception:  # zipfile raises a dozen kinds on damaged files; who reads the arrays reports it
+    except Exception:  # zipfile raises a dozen kinds on damaged files; the reader of the arrays reports it
         return []
 
 

@@ -1,8 +1,8 @@
 """Point clouds from files, as a run: one frame a file, or a run that holds them. mm.
 
-PLY, PCD, text (CSV, XYZ, PTS, COLMAP, OBJ vertices), NPY and NPZ are recognised by their content, not by their ending.
-Nothing in a file is ever run, and sizes that a file claims are checked before memory is taken. A file without times
-stands for one frame; frames are a second apart then. Pixels without depth are left out and counted (unseen.py), columns
+PLY, PCD, text (CSV, XYZ, PTS, COLMAP, OBJ vertices), NPY and NPZ are recognised by their content, not by their name.
+No code in a file is ever run, and sizes in a file are checked before memory is allocated. A file without times is one
+frame; frames are then one second apart. Pixels without depth are left out and counted (unseen.py), columns
 are found by their names, else by their values (columns.py). Pinned by tests/test_clouds.py and
 tests/test_clouds_of_others.py.
 """
@@ -55,13 +55,13 @@ def read_clouds(paths: Sequence[str | Path], notes: list[str] | None = None) -> 
 
     Args:
         paths: files PLY, PCD, CSV, XYZ, OBJ, NPY or NPZ, of points (M, 3) mm.
-        notes: what was left out, and which columns were taken, is added to them, as sentences.
+        notes: receives a sentence for each part that was left out and each choice of columns.
 
     Returns:
         Run: with `points` and `start`; without commands where the files hold none.
 
     Raises:
-        RegistrationError: a file is no cloud, or a run with others; the message says which and what it holds.
+        RegistrationError: a file is no cloud, or a run among other files; the message names it and its contents.
         RunError: it is a run, and one of its fields is wrong.
     """
     files = [Path(path) for path in paths]
@@ -83,7 +83,7 @@ def clouds_of(run: Run) -> list[Floats]:
 
 
 def _seen(run: Run, path: Path, notes: list[str]) -> Run:
-    """Return a run of clouds without the points that no camera has seen."""
+    """Return a run of clouds without points that were not measured."""
     if run.points is None or run.start is None:
         raise RegistrationError(f"{path}: a run without clouds (`points`, `start`); nothing to register")
     found = [left_out(cloud) for cloud in clouds_of(run)]
@@ -96,7 +96,7 @@ def _seen(run: Run, path: Path, notes: list[str]) -> Run:
 
 
 def _cloud(path: Path, notes: list[str]) -> Floats:
-    """Return the points (M, 3) of one file that were seen."""
+    """Return the measured points (M, 3) of one file."""
     if not path.is_file():
         raise RegistrationError(f"{path}: {'not a file' if path.exists() else 'there is no such file'}; give a cloud")
     if path.stat().st_size > MOST_BYTES:
@@ -121,7 +121,7 @@ def _cloud(path: Path, notes: list[str]) -> Floats:
 
 
 def _reader(path: Path) -> Reader:
-    """Return what reads a file, by its first bytes."""
+    """Return the reader of a file, by its first bytes."""
     with path.open("rb") as file:
         head = file.read(_HEAD)
     if head.startswith((b"ply\n", b"ply\r")):

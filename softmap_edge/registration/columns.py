@@ -1,7 +1,7 @@
-"""Decide which columns of a table are x, y, z: by their names, else by what their values can be.
+"""Decide which columns of a table are x, y, z: by their names, else by their values.
 
-A column that counts rows, stands still, or holds whole numbers where others have decimals is no coordinate; neither is
-a triple of unit vectors (normals) or of colours. What was decided comes back as a sentence.
+A column that counts rows, is constant, or holds integers where others have decimals is no coordinate. Neither is a
+triple of unit vectors (normals) or of colours. The decision is returned as a sentence.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from softmap_edge.errors import RegistrationError
 Floats = NDArray[np.float64]
 Triple = tuple[int, int, int]
 
-# A name: what it is of (points, normals, nothing), its axis, its unit.
+# A name: its quantity (points, normals, none), its axis, its unit.
 _NAME = re.compile(
     r"(?P<stem>.*?)[ _.:/\-\[(]*(?P<axis>[xyz0-3])[\])]?(?:[ _](?P<u>mm|m|cm|um)| ?[(\[](?P<v>mm|m|cm|um)[)\]])?"
 )
@@ -59,7 +59,7 @@ def choose(names: Sequence[str], sample: Floats, label: str) -> tuple[Triple, st
 
 
 def names_places(names: Sequence[str]) -> bool:
-    """Whether names of columns hold one triple of axes at least."""
+    """Return whether names of columns hold at least one triple of axes."""
     try:
         return bool(_named(names, "", ""))
     except RegistrationError:
@@ -71,7 +71,7 @@ def _clean(name: str) -> str:
 
 
 def _named(names: Sequence[str], header: str, label: str) -> dict[str, Triple]:
-    """Return the complete triples of axes by what they are of; "" has the plain x, y, z."""
+    """Return the complete triples of axes by their quantity; "" stands for the plain x, y, z."""
     found: dict[tuple[str, str], list[int]] = {}
     units: dict[str, set[str]] = {}
     for k, name in enumerate(names):
@@ -129,7 +129,7 @@ def no_coordinates(sample: Floats) -> dict[int, str]:
     """Return the columns that cannot be coordinates, each with the reason; three are left where possible."""
     rows, count = sample.shape
     known = np.isfinite(sample)
-    sample = np.clip(sample, -1e12, 1e12)  # what damage makes does not overflow
+    sample = np.clip(sample, -1e12, 1e12)  # damaged values must not overflow
     refused = {k: FEW for k in range(count) if 2 * int(known[:, k].sum()) < rows}
     whole = {k for k in range(count) if not np.any(sample[known[:, k], k] % 1.0)}
     decimals = [k for k in range(count) if k not in refused and k not in whole]

@@ -1,6 +1,6 @@
 """Read the points of a PCD file, version 0.6 or 0.7: text, binary or compressed, with any fields in any order.
 
-What the header claims is held to the bytes that are there before memory is taken. The viewpoint is not applied.
+Sizes in the header are compared with the bytes of the file before memory is allocated. The viewpoint is not applied.
 """
 
 from __future__ import annotations
@@ -66,17 +66,17 @@ def _header(file: BinaryIO) -> dict[str, list[str]]:
     raise ValueError("its header has no DATA line")
 
 
-def _whole(words: list[str]) -> list[int]:
+def _integers(words: list[str]) -> list[int]:
     if not all(word.isascii() and word.isdigit() and len(word) < 16 for word in words):
         raise ValueError(f"whole numbers are expected, {' '.join(words)[:60]!r} is there")
     return [int(word) for word in words]
 
 
 def _row(header: dict[str, list[str]]) -> np.dtype[np.void]:
-    """Return the type of one point: a field of as many numbers as COUNT says for each of FIELDS."""
+    """Return the type of one point: for each of FIELDS a field with COUNT numbers."""
     names = header.get("FIELDS", [])
-    sizes, kinds = _whole(header.get("SIZE", [])), header.get("TYPE", [])
-    counts = _whole(header.get("COUNT", ["1"] * len(names)))
+    sizes, kinds = _integers(header.get("SIZE", [])), header.get("TYPE", [])
+    counts = _integers(header.get("COUNT", ["1"] * len(names)))
     if not 3 <= len(names) == len(sizes) == len(kinds) == len(counts) <= 200:
         raise ValueError(f"{len(names)} FIELDS, {len(sizes)} SIZE, {len(kinds)} TYPE, {len(counts)} COUNT")
     if not all(1 <= count <= 10_000 for count in counts):
@@ -89,8 +89,8 @@ def _row(header: dict[str, list[str]]) -> np.dtype[np.void]:
 
 
 def _count(header: dict[str, list[str]]) -> int:
-    (width,), (height,) = _whole(header.get("WIDTH", ["0"])[:1]), _whole(header.get("HEIGHT", ["1"])[:1])
-    count = _whole(header["POINTS"][:1])[0] if "POINTS" in header else width * height
+    (width,), (height,) = _integers(header.get("WIDTH", ["0"])[:1]), _integers(header.get("HEIGHT", ["1"])[:1])
+    count = _integers(header["POINTS"][:1])[0] if "POINTS" in header else width * height
     if "WIDTH" in header and count != width * height:
         raise ValueError(f"POINTS {count}, WIDTH × HEIGHT {width * height}")
     if count > _MOST_POINTS:
@@ -99,7 +99,7 @@ def _count(header: dict[str, list[str]]) -> int:
 
 
 def _first(table: NDArray[np.void]) -> list[NDArray[np.generic]]:
-    """Return the columns of a table; of a field of several numbers the first."""
+    """Return the columns of a table; for a field of several numbers, only the first."""
     columns = [table[name] for name in table.dtype.names or ()]
     return [column if column.ndim == 1 else column[:, 0] for column in columns]
 
@@ -144,7 +144,7 @@ def _compressed(path: Path, file: BinaryIO, row: np.dtype[np.void], count: int) 
 
 
 def unpack_lzf(packed: bytes, size: int) -> bytearray:
-    """Return the `size` bytes that LZF packed (Lehmann): runs of bytes as they are, and copies from what is there.
+    """Unpack `size` bytes packed by LZF (Lehmann): literal runs, and copies of earlier bytes.
 
     Raises:
         ValueError: it ends early, copies from before its beginning, or gives another size.
@@ -166,7 +166,7 @@ def unpack_lzf(packed: bytes, size: int) -> bytearray:
         if start < 0:
             raise ValueError("compressed data that point before their beginning")
         piece = out[start : start + length + 2]
-        times = -(-(length + 2) // len(piece))  # a copy may overlap what it makes
+        times = -(-(length + 2) // len(piece))  # a copy may overlap its own output
         out += (piece * times)[: length + 2]
     if len(out) != size or at > len(packed):
         raise ValueError(f"compressed data of {len(out)} bytes, {size} are expected")

@@ -1,7 +1,7 @@
 """Read the vertices of a PLY file: text or binary of both byte orders, with any properties in any order.
 
-What the header claims is held to the bytes that are there before memory is taken. Elements before the vertices are
-passed over, also those with lists; what follows them is not read.
+Sizes in the header are compared with the bytes of the file before memory is allocated. Elements before the vertices are
+skipped, also those with lists; elements after the vertices are not read.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _TYPES = {"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4
                              for n in (1, 2, 4, 8)}  # fmt: skip
 _ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 _MOST_HEADER = 1000  # lines
-_MOST_LISTS = 1_000_000  # rows with lists that are passed over, one by one
+_MOST_LISTS = 1_000_000  # rows with lists that are skipped, one by one
 _MOST_POINTS = 10_000_000
 _ROWS = 2000  # from which columns are decided
 
@@ -95,7 +95,7 @@ def _check(vertex: _Element, there: int) -> None:
         raise ValueError(f"its vertices have {len(vertex.properties)} properties, x, y, z are needed")
     if vertex.count > _MOST_POINTS:
         raise ValueError(f"{vertex.count} vertices, at most {_MOST_POINTS} are read: thin it out")
-    least = vertex.count * 2 * len(vertex.properties)  # of text; a digit and what ends it
+    least = vertex.count * 2 * len(vertex.properties)  # of text; a digit and a separator
     binary = vertex.count * vertex.row("").itemsize
     if min(least, binary) > there + 1:
         raise ValueError(f"its header claims {vertex.count} vertices, {there} bytes are there")

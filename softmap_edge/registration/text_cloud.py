@@ -23,7 +23,7 @@ Floats = NDArray[np.float64]
 
 MOST_POINTS = 10_000_000
 _SAMPLE_BYTES, _SAMPLE_LINES = 1 << 20, 2000  # from which dialect and columns are decided
-_MOST_COLUMNS = 200  # that are looked at
+_MOST_COLUMNS = 200  # that are tested
 _MARKS = ("#", "//", "%")  # of comments
 _SEPARATORS = (";", "\t", ",", None)
 _UNSEEN = {"", "-", "--", "na", "n/a", "#n/a", "null", "none", "nan(ind)", "-nan(ind)", "1.#qnan", "-1.#ind"}
@@ -45,7 +45,7 @@ _DIALECTS = [_Dialect(mark, comma) for mark in _SEPARATORS for comma in (False, 
 
 
 def read_text(path: Path, notes: list[str]) -> Floats:
-    """Return the points (M, 3) of a file of text; NaN where a cell says that nothing was seen.
+    """Return the points (M, 3) of a text file; NaN for cells that stand for "not seen".
 
     Raises:
         RegistrationError: no three columns of numbers, or more than MOST_POINTS rows.
@@ -126,7 +126,7 @@ def _is_number(cell: str) -> bool:
 
 
 def _value(cell: str) -> float:
-    """Return the number in a cell, NaN for what says that nothing was seen; raise ValueError for anything else."""
+    """Return the number in a cell, NaN if it stands for "not seen"; raise ValueError for anything else."""
     text = cell.strip().strip('"')
     if text.lower() in _UNSEEN:
         return float("nan")
@@ -136,7 +136,7 @@ def _value(cell: str) -> float:
 
 
 def _sample(rows: Sequence[Sequence[str]]) -> Floats:
-    """Return the cells of some rows as numbers, NaN for what holds none; as many columns as the median row."""
+    """Return the cells of some rows as numbers, NaN if a cell holds none; as many columns as the median row."""
     width = int(np.median([len(row) for row in rows]))
     values = np.full((len(rows), width), np.nan)
     for row, cells in zip(values, rows):
@@ -169,7 +169,7 @@ def _split(text: str, mark: str | None) -> list[str]:
 
 
 def _texts(line: str) -> list[str]:
-    """Return what of a line may be names: what follows a colon, and all of it."""
+    """Return the parts of a line that may be names: the text after a colon, and the full line."""
     bare = _bare(line)
     _, colon, after = bare.rpartition(": ")
     return [after, bare] if colon else [bare]

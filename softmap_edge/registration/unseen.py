@@ -1,4 +1,4 @@
-"""Leave out of a cloud what no camera has seen: pixels that are not finite, at 0, 0, 0, or all at one other place.
+"""Remove pixels without depth from a cloud: not finite, at 0, 0, 0, or all at one other place.
 
 Depth cameras save a pixel without depth as one fixed triple; a transform moves all of them alike. One point at 0, 0, 0
 is a point; a place that repeats bit for bit far more often than others do is not.

@@ -49,7 +49,7 @@ USELESS = 0.8  # share of that straying from which a held-out error says that co
 DEPENDENT = 0.01  # of the largest singular value of the commands: a smaller direction does not move
 ROUNDED = 0.02  # weights below this in such a direction are encoders' rounding
 TURNED_DEG = 10.0  # between orientations, from which the weight of the robot bends it differently
-GAP_S = 2.0  # s next to a block that predict nothing in it
+GAP_S = 2.0  # s next to a held-out block that are not used to predict it
 POOR = 0.4  # of the same: a rod that knows its commands leaves a tenth
 
 
@@ -238,7 +238,7 @@ def _turned(runs: Sequence[Run]) -> list[str]:
 
 
 def _apart(commands: Floats) -> list[str]:
-    """Return a sentence if channels were moved one at a time: the rod does not know what they do together."""
+    """Return a sentence if channels were moved one at a time: the rod then cannot learn their joint effect."""
     if _dependent(commands, ""):
         return []  # reported as such
     pairs = apart(commands)

@@ -37,11 +37,11 @@ def opened(port: str, baud: int, *, shared: bool = False) -> Iterator[_core.Serv
     """Open a bus and close it again.
 
     Args:
-        port, baud: the device, and its rate. shared: another program may have it open without a lock: torque has to go
-            off whoever is there.
+        port, baud: the device, and its rate. shared: accept that another program has it open without a lock, so that
+            torque can be switched off in any case.
 
     Raises:
-        ServoError: it cannot be opened, or another program has it; the line names that.
+        ServoError: it cannot be opened, or another program has it; the message names that program.
     """
     if not shared:
         check_alone(port)
@@ -66,10 +66,10 @@ def pinged(bus: _core.ServoBus, id: int) -> tuple[int, int] | None:
 
 
 def heard(bus: _core.ServoBus, id: int, address: int, size: int) -> bytes:
-    """Return `size` bytes of the registers of a servo, several times asked.
+    """Return `size` bytes of the registers of a servo; repeat the request if no answer comes.
 
     Raises:
-        NoAnswer: it does not answer; the line names the servo, and what leads on. ServoError: it refuses.
+        NoAnswer: it does not answer; the message names the servo and the remedy. ServoError: it refuses.
     """
     try:
         return patiently(bus.read, id, address, size)
@@ -81,7 +81,7 @@ def heard(bus: _core.ServoBus, id: int, address: int, size: int) -> bytes:
 
 
 def pings_only(port: str, baud: int, id: int) -> str:
-    """Return what is to be said of a servo that answers pings and nothing else."""
+    """Return the message on a servo that answers pings and nothing else."""
     return f"answers pings only: its status return level is 0; run {setup_command(port, baud, id)}, which sets it"
 
 
@@ -89,7 +89,7 @@ def registers(bus: _core.ServoBus, id: int) -> dict[str, int]:
     """Return the value of each register that is used, by its name.
 
     Raises:
-        NoAnswer: the servo does not answer; the line names it.
+        NoAnswer: the servo does not answer; the message names it.
     """
     memory = heard(bus, id, 0, 64) + heard(bus, id, 64, 83)
     return {

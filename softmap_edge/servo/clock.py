@@ -1,9 +1,9 @@
-"""The time that a robot lives in: real, or that of simulated servos, which a busy computer does not make late.
+"""The clock of a robot: real time, or the time of simulated servos, which a busy computer does not make late.
 
-Whoever drives waits by the clock of the rig (`Rig.time`). A simulated robot in *paced* time keeps to real time, for a
-person who drives it; what the computer was late by is left out, so that it stands meanwhile and then goes on. In
-*stepped* time loop, servos and finger go on by the steps of the program, as fast as the computer can: the same program
-gives the same result under any load. Pinned by tests/test_simulated_time.py.
+The driving program waits by the clock of the rig (`Rig.time`). *Paced* time follows real time, for a person who drives
+a simulated robot. Delays of the computer are left out: the robot stops and then goes on. In *stepped* time the loop,
+the servos and the finger advance in the steps of the program, as fast as the computer can. The same program then gives
+the same result under any load. Pinned by tests/test_simulated_time.py.
 """
 
 from __future__ import annotations
@@ -18,17 +18,17 @@ from softmap_edge import _core
 from softmap_edge.errors import ServoError
 
 NS = 1_000_000_000
-EPOCH = 10 * NS  # at which stepped time begins: set-up is done by then
-EVERY = 5_000_000  # ns between two looks at the horns, and of a step of whoever waits
-FROZEN = 0.6  # s without a report after which a real loop is taken to hang
+EPOCH = 10 * NS  # start of stepped time: set-up is done by then
+EVERY = 5_000_000  # ns between two readings of the horns, and of one step of waiting
+FROZEN = 0.6  # s without a report after which a real loop counts as hung
 STUCK = 60.0  # s without a period of the loop after which a simulated session ends
-PATIENT = 50.0  # times as long a simulated robot is waited for: nothing can break meanwhile
-WINDOW = 0.1  # s for which paced time goes on without a word from whoever drives
+PATIENT = 50.0  # factor on time limits for a simulated robot: nothing can break meanwhile
+WINDOW = 0.1  # s for which paced time goes on without a signal from the driving program
 BUSY = "the computer is too busy for real time"
 
 
 class Clock(Protocol):
-    """The time of a robot. `frozen` s without a report are taken for a loop that hangs."""
+    """The time of a robot. After `frozen` s without a report the loop counts as hung."""
 
     simulated: bool
     stepped: bool
@@ -43,11 +43,11 @@ class Clock(Protocol):
         ...
 
     def wait_for(self, heard: threading.Condition, what: Callable[[], Any], seconds: float) -> bool:
-        """Wait until `what` is true, some seconds at most; it is looked at under `heard`."""
+        """Wait until `what` is true, at most `seconds`; it is tested while `heard` is held."""
         ...
 
     def patience(self, seconds: float) -> float:
-        """Return for how many real seconds a process that takes `seconds` is waited for."""
+        """Return the real time limit (s) for a process that takes `seconds`."""
         ...
 
     def running(self) -> contextlib.AbstractContextManager[object]:
@@ -55,7 +55,7 @@ class Clock(Protocol):
         ...
 
     def there(self, driving: bool = True) -> float:
-        """Hear that whoever drives is there; returns for how many s the computer was too busy so far."""
+        """Signal that the driving program is alive; return for how many s the computer was too busy so far."""
         ...
 
     def each_step(self, hear: Callable[[], None]) -> None:
@@ -78,20 +78,20 @@ class RealTime:
         time.sleep(seconds)
 
     def wait_for(self, heard: threading.Condition, what: Callable[[], Any], seconds: float) -> bool:
-        """Wait until `what` is true, some seconds at most."""
+        """Wait until `what` is true, at most `seconds`."""
         with heard:
             return bool(heard.wait_for(what, seconds))
 
     def patience(self, seconds: float) -> float:
-        """Return the same."""
+        """Return `seconds` unchanged."""
         return seconds
 
     def running(self) -> contextlib.AbstractContextManager[object]:
-        """Do nothing: it always goes on."""
+        """Do nothing: real time always goes on."""
         return contextlib.nullcontext()
 
     def there(self, driving: bool = True) -> float:
-        """Return 0: real servos do not wait for anybody."""
+        """Return 0: real servos do not wait."""
         return 0.0
 
     def each_step(self, hear: Callable[[], None]) -> None:
@@ -99,7 +99,7 @@ class RealTime:
 
 
 class PacedTime(RealTime):
-    """The time of simulated servos that keeps to real time as far as the computer does."""
+    """The time of simulated servos that follows real time as far as the computer can."""
 
     simulated = True
     frozen = 30.0
@@ -112,7 +112,7 @@ class PacedTime(RealTime):
         return self._bus.now() / NS
 
     def wait_for(self, heard: threading.Condition, what: Callable[[], Any], seconds: float) -> bool:
-        """Wait until `what` is true; a simulated robot is waited for longer."""
+        """Wait until `what` is true, with a longer limit than for a real robot."""
         until = time.monotonic() + self.patience(seconds)
         while not super().wait_for(heard, what, 0.5 * WINDOW):
             if time.monotonic() > until:
@@ -122,20 +122,20 @@ class PacedTime(RealTime):
         return True
 
     def patience(self, seconds: float) -> float:
-        """Return more: a busy computer takes its time."""
+        """Return a longer limit, for a busy computer."""
         return PATIENT * seconds
 
     def there(self, driving: bool = True) -> float:
-        """Let time go on for `WINDOW` s more, or whatever happens where nobody is `driving`."""
+        """Let time go on for `WINDOW` s more; without a limit if not `driving`."""
         self._driving = driving
         return self._bus.there(WINDOW if driving else None)
 
 
 class SteppedTime(PacedTime):
-    """The time of simulated servos that goes on by the steps of one thread, the one that makes this."""
+    """The time of simulated servos that advances in steps of one thread, the one that creates this object."""
 
     stepped = True
-    frozen = float("inf")  # it stands while that thread computes
+    frozen = float("inf")  # time stands while that thread computes
 
     def __init__(self, bus: _core.EmulatedBus) -> None:
         super().__init__(bus)
@@ -155,15 +155,15 @@ class SteppedTime(PacedTime):
         self._hears = [hear]
 
     def now(self) -> float:
-        """Return the time up to which it has gone, s."""
+        """Return the time that is reached, s."""
         return self._ns / NS
 
     def sleep(self, seconds: float) -> None:
-        """Go on by so much."""
+        """Advance by `seconds`."""
         self._to(self._ns + max(round(seconds * NS), 0))
 
     def wait_for(self, heard: threading.Condition, what: Callable[[], Any], seconds: float) -> bool:
-        """Go on until `what` is true; another thread, or one whose loop is not there yet, waits in real time."""
+        """Advance until `what` is true; other threads, or a thread without a running loop, wait in real time."""
         until, real = self._ns + round(seconds * NS), time.monotonic() + STUCK
         while True:
             with heard:
@@ -180,12 +180,12 @@ class SteppedTime(PacedTime):
                 self._to(min(self._ns + EVERY, until))
 
     def patience(self, seconds: float) -> float:
-        """Return as long as a loop may take at all."""
+        """Return the longest time that a loop may take."""
         return STUCK
 
     @contextlib.contextmanager
     def running(self) -> Iterator[None]:
-        """Let the loop go on as it likes, while it ends."""
+        """Let time run freely while the loop ends."""
         self._bus.free(True)
         try:
             yield

@@ -59,9 +59,10 @@ class Controller(Watched):
     and that home was proved since they got power (`proof.py`), and goes to READY. With `commissioning` it goes to
     CONNECTED, home is not asked for, and small slow moves are all that is allowed (`jog.py`). Leaving slackens and
     switches torque off, whatever happened. With `record` all that the loop hears, decides and sends goes to that file,
-    which must not exist (`recording.py`). A full disk ends the recording and not the loop: `unrecorded` says so
-    meanwhile, and leaving raises `RecordingBroken`.
-    `tell` is given lines for the user: what a start wrote again (`mended`), and answers lost or not asked for (`bus`).
+    which must not exist (`recording.py`). A full disk ends the recording and not the loop: `unrecorded` then holds the
+    cause, and leaving raises `RecordingBroken`.
+    `tell` is called with lines for the user: registers rewritten by a start (`mended`), answers lost or not asked for
+    (`bus`).
 
     Raises:
         ServoError: a limit is missing or out of range, the loop cannot start, or a request is denied; the message says
@@ -143,7 +144,7 @@ class Controller(Watched):
 
     @property
     def time(self) -> Clock:
-        """The time that the robot lives in: of a simulated one it may stand, or go faster than real time."""
+        """The clock of the robot; that of a simulated robot may stand, or run faster than real time."""
         return self.rig.time
 
     def request(self, name: str, seconds: float = 3.0) -> None:

@@ -1,6 +1,6 @@
-"""The servos of a rig, asked one by one: what each is, what keeps it from being driven, what a start writes again.
+"""Examine the servos of a rig one by one: identity, faults that block a start, and registers that a start rewrites.
 
-Homing, the doctor and each start (`loop.py`) ask here, so that all of them find the same. Pinned by
+Homing, the doctor and each start (`loop.py`) use this module, so their findings agree. Pinned by
 tests/test_known_state.py and tests/test_presence.py.
 """
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Member:
-    """A servo that should be there: its id and model number, and what is asked of it."""
+    """An expected servo: its id, its model number and its requirements."""
 
     id: int
     number: int
@@ -32,8 +32,8 @@ class Member:
 
 @dataclass(frozen=True)
 class Seen:
-    """What answers in the place of a servo (None: nothing), and what keeps it from being driven, a sentence each: what
-    was found, and behind "; " what to do. `passing` are registers that a start writes again."""
+    """The servo that answers in an expected place (None: none), and its faults, a sentence each: the finding and, after
+    "; ", the remedy. `passing` are registers that a start writes again."""
 
     id: int
     found: Found | None
@@ -43,7 +43,7 @@ class Seen:
 
 
 def members(rig: Rig) -> list[Member]:
-    """Return the servos of a rig with what it asks of each."""
+    """Return the servos of a rig with the requirements for each."""
     from softmap_edge.servo.combined import of_bench
 
     found = []
@@ -56,7 +56,7 @@ def members(rig: Rig) -> list[Member]:
 
 
 def members_of(servos: Sequence[Sequence[int]], limits: Any, gains: Sequence[Sequence[int]]) -> list[Member]:
-    """Return the servos (id, model number) of a loop whose guard keeps to `limits`; gains as their rig knows them."""
+    """Return the servos (id, model number) of a loop with the guard limits `limits`; `gains` are those of the rig."""
     known = [tuple(one) for one in gains] or [()] * len(servos)
     found = []
     for (id, number), one, own in zip(servos, limits["servos"], known):
@@ -67,10 +67,10 @@ def members_of(servos: Sequence[Sequence[int]], limits: Any, gains: Sequence[Seq
 
 
 def examined(port: str, baud: int, asked: Sequence[Member], *, release: bool = False) -> list[Seen]:
-    """Ask the servos that should be at `port` what they are.
+    """Read identity and registers of the servos expected at `port`.
 
     Args:
-        port, baud: where. asked: the servos. release: switch the torque of all of them off first.
+        port, baud: of the bus. asked: the servos. release: switch the torque of all of them off first.
 
     Raises:
         ServoError: the port cannot be opened, another program has it, or it fails.
@@ -87,7 +87,7 @@ def examined(port: str, baud: int, asked: Sequence[Member], *, release: bool = F
 
 
 def refusal(seen: Sequence[Seen]) -> str:
-    """Return in one line what keeps servos from being driven and what mends it; empty where nothing does."""
+    """Return one line on the faults that block a start and their remedies; "" if there are none."""
     lines = []
     for one in seen:
         by_remedy: dict[str, list[str]] = {}
@@ -100,13 +100,13 @@ def refusal(seen: Sequence[Seen]) -> str:
 
 
 def started(port: str, baud: int, asked: Sequence[Member]) -> list[str]:
-    """Refuse servos that are not as they must be; write registers that pass with the power as they must be.
+    """Check the servos before a start, and restore their volatile registers.
 
     Returns:
-        What was written again, a line each.
+        A line for each register that was written again.
 
     Raises:
-        ServoError: a servo is not as it must be, or does not answer; the line says what mends it.
+        ServoError: a servo does not meet its requirements or does not answer; the message names the remedy.
     """
     seen = examined(port, baud, asked)
     if said := refusal(seen):
@@ -141,7 +141,7 @@ def _one(bus: _core.ServoBus, member: Member) -> Seen:
 
 
 def _written(bus: _core.ServoBus, one: Seen, need: Need) -> str:
-    """Write what passes with the power, and return the line that says so."""
+    """Write a volatile register, and return the line that reports it."""
     address, size, _ = _core.servo_registers()[need.register]
     patiently(bus.write, one.id, address, need.value.to_bytes(size, "little", signed=need.value < 0))
     name = need.register.replace("_", " ")

@@ -1,8 +1,7 @@
-"""Which other programs have a serial port open: two that share it without a lock take each other's answers.
+"""Find other programs that have a serial port open: without a lock, two programs take each other's answers.
 
-Linux lists the open files of the processes that this user may look at (/proc/PID/fd). A pseudo-terminal is always open
-at its other end, by the program that emulates the servos: that one is no other program. Pinned by
-tests/test_holders.py.
+Linux lists the open files of the processes that this user may inspect (/proc/PID/fd). The program that emulates servos
+has the other end of its pseudo-terminal open and does not count. Pinned by tests/test_holders.py.
 """
 
 from __future__ import annotations
@@ -34,7 +33,7 @@ def holders(port: str, proc: Path = PROC) -> list[Holder]:
     """Return the other programs that have the device `port` open, as far as this user may see them.
 
     Args:
-        port: path of the device. proc: where the system lists its processes.
+        port: path of the device. proc: the folder of the process list.
     """
     try:
         device = os.stat(port)
@@ -66,7 +65,7 @@ def _others(proc: Path) -> list[int]:
 
 
 def _terminals(folder: Path) -> Iterator[tuple[Path, int]]:
-    """Give each open character device of a process, and its number; nothing where it may not be seen."""
+    """Yield each open character device of a process, and its number; nothing without permission."""
     try:
         names = os.listdir(folder)
     except OSError:
@@ -93,7 +92,7 @@ def _is_other_end(file: Path, number: int, device: int) -> bool:
 
 
 def _name(process: Path) -> str:
-    """Return the name of a process, without anything that a terminal would obey."""
+    """Return the name of a process, without control characters."""
     try:
         name = (process / "comm").read_text("utf-8", "replace").strip()
     except OSError:

@@ -1,12 +1,11 @@
-"""What the registers of a servo must hold to be driven, what differs, and what mends it: one list for all that look.
+"""The register values that a servo needs to be driven, their differences and remedies: one list for every check.
 
-`softmap servo setup` makes it so. `servo read`, the doctor, homing and each start look again, since another program may
-have left anything there. Registers that lose their value with the power (profile, gains) are written again by a start.
-Sources: the X-series control tables and their known traps: turns are counted in modes 4 and 5 only, a homing offset
-makes a watchdog dangerous there on old firmware, a return delay costs bus time, a reversed drive mode turns goal and
-position round alike, so that nothing else notices it. The gains of a mode are the servo's own and depend on its
-firmware: setting up lets the servo choose them again, and the rig keeps what it chose (`[made.set_up]`). Pinned by
-tests/test_known_state.py.
+`softmap servo setup` writes them. `servo read`, the doctor, homing and each start check them again, since another
+program may have changed them. A start rewrites volatile registers (profile, gains).
+Sources: the X-series control tables and their known traps. Turns are counted in modes 4 and 5 only. On old firmware a
+homing offset makes a watchdog dangerous in these modes. A return delay costs bus time. A reversed drive mode inverts
+goal and position alike, so that no other check detects it. The default gains of a mode depend on the firmware: set-up
+lets the servo choose them again, and the rig keeps them (`[made.set_up]`). Pinned by tests/test_known_state.py.
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ from softmap_edge.servo.models import Entry, numbered
 CLEAR = 42  # firmware below which a tripped watchdog lets the motor run on, in mode 4 with a homing offset
 OLD = 38  # firmware below which there is no bus watchdog
 NO_SHADOW, HIGHEST_ID = 255, 252
-ALWAYS = 2  # status return level: every question is answered
+ALWAYS = 2  # status return level: every request is answered
 MODES = {
     0: "current", 1: "velocity", 3: "position", 4: "extended position", 5: "current-based position", 16: "PWM",
 }  # fmt: skip
@@ -37,7 +36,7 @@ Values = dict[str, int]
 
 @dataclass(frozen=True)
 class Found:
-    """A servo that answered: where, and what it is."""
+    """A servo that answered: its port, baud rate, id and model."""
 
     port: str
     baud: int
@@ -47,7 +46,7 @@ class Found:
 
     @property
     def model(self) -> Entry | None:
-        """What is known of its model."""
+        """The entry of its model, if the model is known."""
         return numbered(self.number)
 
     def __str__(self) -> str:
@@ -57,8 +56,8 @@ class Found:
 
 @dataclass(frozen=True)
 class Asked:
-    """What a rig asks of a servo: the largest current of its cap (mA), its fastest turn (ticks/s), and the gains that
-    it had when it was set up (in the order of GAINS; none where the rig does not know them)."""
+    """The requirements of a rig for a servo: the largest current of its cap (mA), its fastest turn (ticks/s), and its
+    gains at set-up (in the order of GAINS; empty if the rig does not hold them)."""
 
     current_mA: float
     slew: float
@@ -67,7 +66,7 @@ class Asked:
 
 @dataclass(frozen=True)
 class Need:
-    """What a register must hold: `value`, or anything from `least` on. A start writes what is `passing` by itself."""
+    """A required register value: `value`, or at least `least`. A start writes `passing` registers by itself."""
 
     register: str
     value: int
@@ -75,12 +74,12 @@ class Need:
     passing: bool = False
 
     def met(self, value: int) -> bool:
-        """Return whether `value` will do."""
+        """Return whether `value` meets the requirement."""
         return value == self.value if self.least is None else value >= self.least
 
 
 def usual(model: Entry) -> Asked:
-    """Return what is asked of a servo where no rig is given."""
+    """Return the requirements for a servo without a rig."""
     from softmap_edge.servo.limits import CURRENT, SLEW, slowed, strongest  # the loop's process starts without numpy
 
     most = CURRENT * strongest(model)
@@ -88,17 +87,17 @@ def usual(model: Entry) -> Asked:
 
 
 def most(model: Entry) -> Asked:
-    """Return the most that can be asked of a servo: what it gives as delivered."""
+    """Return the highest requirements that a servo can meet: its factory limits."""
     from softmap_edge.servo.limits import strongest
 
     return Asked(strongest(model), float(model["fastest_ticks_per_s"]))
 
 
 def needs(model: Entry, asked: Asked | None = None) -> list[Need]:
-    """Return what the registers of a servo must hold to be driven, in the order in which they are written.
+    """Return the required register values of a servo, in the order in which they are written.
 
     Args:
-        model: what is known of its model. asked: by the rig, the usual without one.
+        model: the entry of its model. asked: the requirements of the rig; None for the usual ones.
     """
     asked = usual(model) if asked is None else asked
     found = [
@@ -127,7 +126,7 @@ def differing(model: Entry, values: Values, asked: Asked | None = None) -> list[
 
 
 def complaints(found: Found, values: Values, asked: Asked | None = None) -> list[str]:
-    """Return what keeps a servo from being driven, a sentence each: what was found, and behind "; " what to do."""
+    """Return a sentence for each fault that blocks a start: the finding and, after "; ", the remedy."""
     model = found.model
     if model is None:
         known = ", ".join(one["name"] for one in _core.servo_models())
@@ -154,7 +153,7 @@ def passing(found: Found, values: Values, asked: Asked | None = None) -> list[Ne
 
 
 def differs(found: Found, need: Need, value: int, asked: Asked | None = None) -> str:
-    """Return in words what a register holds, and what it must hold: `drive mode is 9, needed is 0`."""
+    """Return the actual and the required value of a register as text: `drive mode is 9, needed is 0`."""
     model = found.model
     if need.register == "current_limit" and model is not None:
         cap = (usual(model) if asked is None else asked).current_mA
@@ -165,7 +164,7 @@ def differs(found: Found, need: Need, value: int, asked: Asked | None = None) ->
 
 
 def holds(found: Found, register: str, value: int) -> str:
-    """Return in words what a register holds, and why that is dangerous where it is."""
+    """Return the value of a register as text, with the danger if there is one."""
     note = f" ({MODES.get(value, 'unknown')})" if register == "operating_mode" else ""
     if register == "homing_offset" and found.firmware < CLEAR:
         note = f" (with one, firmware {found.firmware} lets the motor run on when its watchdog trips in mode 4)"
@@ -173,20 +172,20 @@ def holds(found: Found, register: str, value: int) -> str:
 
 
 def too_old(found: Found) -> str:
-    """Return what is to be said of firmware without a watchdog."""
+    """Return the message on firmware without a watchdog."""
     update = f"update it to {_core.FAST_FIRMWARE} with Dynamixel Wizard"
     return f"its firmware {found.firmware} has no bus watchdog; {update}"
 
 
 def hardware(bits: int) -> str:
-    """Return the hardware errors of register 70 in words."""
+    """Return the hardware errors of register 70 as text."""
     known = [text for bit, text in _core.HARDWARE_ERRORS if bits & bit]
     left = bits & ~sum(bit for bit, _ in _core.HARDWARE_ERRORS)
     return ", ".join([*known, *([f"error {left:#04x}"] if left else [])])
 
 
 def restart(found: Found) -> str:
-    """Return what leads on from a hardware error."""
+    """Return the remedy for a hardware error."""
     where = f"--port {shlex.quote(found.port)} --baud {found.baud} --id {found.id}"
     return f"find the cause, then run `softmap servo reboot {where}` (or switch its supply off and on)"
 
@@ -203,7 +202,7 @@ def _steps(model: Entry, slew: float) -> int:
 
 
 def gains_of(rig_made: Mapping[str, Mapping[str, Any]], id: int) -> tuple[int, ...]:
-    """Return the gains that a servo had when it was set up, by `[made]` of its rig; none where that is not known."""
+    """Return the gains of a servo at set-up, from `[made]` of its rig; empty if they are not known."""
     kept = rig_made.get(SET_UP, {}).get(f"servo_{id}", [])
     whole = isinstance(kept, list) and len(kept) == len(GAINS)
     return tuple(kept) if whole and all(type(one) is int and 0 <= one <= MOST_GAIN for one in kept) else ()

@@ -1,9 +1,9 @@
 """The process of the control loop: Rust alone once it runs. `python -m softmap_edge.servo.loop ORDERS REPORTS < setup`.
 
 ORDERS and REPORTS are descriptors of pipes; the setup is a JSON document on standard input (`Controller`). What cannot
-be started is told as a report `{"error": …}`. That the servos are set up and that home is proved is asked here, as late
-as can be: a servo that loses its turns afterwards is seen by the guard. What a start writes anew (a profile, gains) is
-told as a report `{"mended": […]}`. Where a fault made home unknown, its proof is taken from the servos at the
+be started is reported as `{"error": …}`. Set-up and home of the servos are checked here, as late as possible: the guard
+detects a servo that loses its turns afterwards. Registers that a start rewrites (a profile, gains) are reported as
+`{"mended": […]}`. Where a fault made home unknown, its proof is taken from the servos at the
 end. Pinned by tests/test_controller.py and tests/test_bad_input.py.
 """
 
@@ -33,7 +33,7 @@ def main() -> int:
         homes, session = setup.pop("homes"), setup.pop("session", None)
         servos = members_of(setup["servos"], setup["limits"], setup.pop("gains", ()))
         if mended := started(setup["port"], setup["baud"], servos):
-            _say(told, mended=mended)
+            _report(told, mended=mended)
         if homes is not None:
             _check_home(setup["port"], setup["baud"], setup["servos"], homes)
         if setup["gpio"] is not None:
@@ -45,13 +45,13 @@ def main() -> int:
             _forget_home(setup["port"], setup["baud"], setup["servos"])
         note_released(session)
     except SoftmapError as fault:
-        _say(told, error=str(fault))
+        _report(told, error=str(fault))
         return 1
     return 0
 
 
-def _say(pipe: int, **said: Any) -> None:
-    os.write(pipe, (json.dumps({"schema": "softmap.loop/1"} | said) + "\n").encode())
+def _report(pipe: int, **entries: Any) -> None:
+    os.write(pipe, (json.dumps({"schema": "softmap.loop/1"} | entries) + "\n").encode())
 
 
 def _check_home(port: str, baud: int, servos: list[list[int]], homes: list[int | None]) -> None:

@@ -1,6 +1,6 @@
-"""Who answers on a bus, and why a servo does not: another rate, another id, an id that two share, pings only.
+"""Find the servos on a bus, and why one does not answer: another baud rate or id, a shared id, pings only.
 
-A bus is asked only; nothing is written. Pinned by tests/test_presence.py.
+Nothing is written to the bus. Pinned by tests/test_presence.py.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from softmap_edge.errors import NoAnswer, NoSuchRate
 from softmap_edge.servo.bus import opened, patiently, pinged, pings_only, rates
 from softmap_edge.servo.known_state import Found, setup_command
 
-LOOKS = 3  # times that it has to be seen: one glitch is no second servo
+LOOKS = 3  # repetitions of the finding: one glitch is no second servo
 PINGS = 2  # at each other rate
 SETTLES = 0.01  # s within which a second servo has answered too
 ALONE = "connect one servo at a time and give each an id of its own"
@@ -22,14 +22,14 @@ ALONE = "connect one servo at a time and give each an id of its own"
 
 @dataclass(frozen=True)
 class Heard:
-    """What answers at a port at one rate, and what is wrong about it, a sentence each."""
+    """The servos that answer at a port at one rate, and a sentence for each fault."""
 
     found: tuple[Found, ...]
     remarks: tuple[str, ...]
 
 
 def listened(port: str, baud: int) -> Heard:
-    """Ask all servos at `port` what they are.
+    """Return the servos that answer at `port`, and the faults of their answers.
 
     Raises:
         ServoError: the port cannot be opened, or another program has it.
@@ -48,10 +48,10 @@ def listened(port: str, baud: int) -> Heard:
 
 
 def why_silent(port: str, baud: int, id: int, listed: Collection[int] = ()) -> str:
-    """Return why servo `id` does not answer at `port`: what was found, and behind "; " what to do.
+    """Return why servo `id` does not answer at `port`: the finding and, after "; ", the remedy.
 
     Args:
-        port, baud, id: where it should be. listed: ids that have their place in the rig.
+        port, baud, id: of the expected servo. listed: the ids in the rig.
 
     Raises:
         ServoError: the port cannot be opened, or another program has it.
@@ -79,7 +79,7 @@ def why_silent(port: str, baud: int, id: int, listed: Collection[int] = ()) -> s
 
 
 def muted(bus: _core.ServoBus, id: int) -> str:
-    """Return why a servo has not answered about its registers, of a bus that is open."""
+    """Return why a servo on an open bus has not answered a read of its registers."""
     if shared(bus, id):
         return shares(bus, id)
     if _silent_reads(bus, id):
@@ -90,13 +90,13 @@ def muted(bus: _core.ServoBus, id: int) -> str:
 
 
 def shares(bus: _core.ServoBus, id: int) -> str:
-    """Return what is to be said of an id that two servos answer to."""
+    """Return the message on an id that two servos share."""
     run = setup_command(bus.port, bus.baud, id, " --new-id N")
     return f"two servos share id {id}: it is answered twice; {ALONE} ({run})"
 
 
 def shared(bus: _core.ServoBus, id: int) -> bool:
-    """Return whether a servo that answers is answered for by another one as well, again and again."""
+    """Return whether a second servo repeatedly answers under the same id."""
     for _ in range(LOOKS):
         before = bus.counts()["unasked"]
         if bus.ping(id) is None:
@@ -109,7 +109,7 @@ def shared(bus: _core.ServoBus, id: int) -> bool:
 
 
 def dirty(bus: _core.ServoBus, ask: Callable[[], object]) -> bool:
-    """Return whether bytes come that are no packets whenever `ask` is called."""
+    """Return whether bytes that are no packets arrive each time `ask` is called."""
     return all(_skips(bus, ask) for _ in range(LOOKS))
 
 
@@ -117,7 +117,7 @@ def _skips(bus: _core.ServoBus, ask: Callable[[], object]) -> bool:
     before = _unread(bus)
     ask()
     time.sleep(SETTLES)
-    bus.ping(0)  # what waits is counted before the next question
+    bus.ping(0)  # waiting bytes are counted before the next request
     return _unread(bus) > before
 
 
@@ -127,7 +127,7 @@ def _unread(bus: _core.ServoBus) -> int:
 
 
 def _scanned(bus: _core.ServoBus) -> tuple[list[Found], bool]:
-    """Return who answers, and whether bytes that cannot be read came each time."""
+    """Return the servos that answer, and whether unreadable bytes came each time."""
     before, most = _unread(bus), bus.scan()
     unreadable = _unread(bus) > before
     for _ in range(LOOKS - 1):
@@ -145,7 +145,7 @@ def _unreadable(bus: _core.ServoBus) -> str:
 
 
 def _silent_reads(bus: _core.ServoBus, id: int) -> bool:
-    """Return whether a servo that answers pings answers no question about a register."""
+    """Return whether a servo answers pings but no register read."""
     address, size, _ = _core.servo_registers()["id"]
     try:
         patiently(bus.read, id, address, size)

@@ -31,8 +31,8 @@ FARTHEST = 2.0**31  # ticks: what a servo's register of its position holds
 class Recording:
     """What a loop was made of, and each of its periods (softmap.loop as in the file's schema).
 
-    short: why there may be more periods than these, None where the loop closed it. incomplete: a sentence on that, with
-        how far it is read and how much is missing. doubtful: its checksum fails, so any of its numbers may be wrong.
+    short: why periods may be missing; None if the loop closed the file. incomplete: a sentence on this, with the end of
+        the readable part and the missing amount. doubtful: the checksum fails, so any number may be wrong.
     """
 
     file: Path
@@ -49,9 +49,9 @@ class Recording:
 
     @property
     def bus(self) -> dict[str, int]:
-        """How the questions to the servos went, to the last period: answers `asked` for, `lost`, `damaged`, `unasked`.
+        """Counts of answers up to the last period: `asked` for, `lost`, `damaged`, `unasked`.
 
-        A recording of before they were counted has 0 of each.
+        Recordings of older versions have 0 of each.
         """
         last = self.periods[-1]
         return {name: value if type(value := last.get(name)) is int else 0 for name in words.BUS}

@@ -1,7 +1,7 @@
-"""Finds what a recording of the loop lacks: cut short, damaged at one place, or damaged anywhere.
+"""Find whether a recording of the loop was cut short, is damaged at one place, or is damaged at an unknown place.
 
-The file ends with a checksum of all that the loop wrote and with the number of its messages; the compiled reader stops
-where a record is damaged. Pinned by tests/test_recording.py and tests/test_recording_damage.py.
+The file ends with a checksum of its data and the number of its messages. The compiled reader stops at a damaged
+record. Pinned by tests/test_recording.py and tests/test_recording_damage.py.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ _ANYWHERE = "damaged (Data section CRC"  # how the reader begins where the check
 
 @dataclass(frozen=True)
 class Shortfall:
-    """Why a recording may hold less than was driven, None where it does not, and a sentence on how much is missing.
+    """Why a recording may be incomplete (None if it is complete), and a sentence on the missing amount.
 
-    doubtful: the checksum of the data fails and no place shows where, so any number may be wrong.
+    doubtful: the checksum of the data fails and the place is unknown, so any number may be wrong.
     """
 
     why: str | None = None
@@ -30,14 +30,14 @@ class Shortfall:
 
 
 def find_shortfall(file: Path, messages: int, read: int, seconds: float, broken: str | None) -> Shortfall:
-    """Return what a recording lacks.
+    """Return why a recording is incomplete, and by how much.
 
     Args:
         file: the recording.
         messages: messages that the reader found.
         read: messages that are used, all before the first one that is `broken`.
         seconds: s from the first period to the last that is used.
-        broken: why the next message is no document; None where all of them are.
+        broken: why the next message is no document; None if all messages are.
     """
     why = broken or _why(file)
     with open(file, "rb") as stream:
@@ -61,7 +61,7 @@ def find_shortfall(file: Path, messages: int, read: int, seconds: float, broken:
 
 
 def _why(file: Path) -> str | None:
-    """Return why a recording may hold less than was driven: damaged within, or never closed by its loop."""
+    """Return why a recording may be incomplete: damaged inside, or never closed by its loop."""
     try:
         _, ended = _core.Reading(str(file)).more()
     except SoftmapError as fault:
@@ -77,7 +77,7 @@ def _head(file: Path, why: str, closing: Closing | None) -> str:
 
 
 def _missing(closing: Closing | None, messages: int, read: int) -> list[str]:
-    """Return how many messages are missing, of those that the file states or that were found."""
+    """Return the number of missing messages, out of those that the file states or that were found."""
     stated = 0 if closing is None or closing.total is None else closing.total
     total = max(messages, stated)
     if total > read:
@@ -86,7 +86,7 @@ def _missing(closing: Closing | None, messages: int, read: int) -> list[str]:
 
 
 def _unchecked(file: Path, closing: Closing | None, walk: Walk) -> Damage | None:
-    """Return that a file carries no checksum, which none of the loop lacks."""
+    """Return the damage of a file without a checksum; the loop always writes one."""
     if (closing is not None and closing.data is not None) or all(record.kind != MESSAGE for record in walk):
         return None  # chunks have checksums of their own, which the reader checks
     return Damage(f"{file} carries no checksum of its data: numbers that were damaged would not be noticed")

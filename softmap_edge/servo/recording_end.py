@@ -1,4 +1,4 @@
-"""Finds that a recording ended before its loop did, and says why and up to when it goes.
+"""Detect a recording that ended before its loop, and report the cause and the last recorded time.
 
 Pinned by tests/test_record_cut.py and tests/test_recording_damage.py.
 """
@@ -16,19 +16,19 @@ LOOP = "/loop"
 
 
 def system_words(fault: str) -> str:
-    """Return the words of the operating system for a failed write, as the other messages have them."""
+    """Return the operating system's text for a failed write, in the form of the other messages."""
     words = re.sub(r" \(os error \d+\)$", "", fault.strip())
     return words[:1].lower() + words[1:] if words[1:2].islower() else words
 
 
 def broken_recording(file: Path, fault: str | None, lost: int, ended: bool) -> str | None:
-    """Return what is wrong with a recording; None where nothing is.
+    """Return the fault of a recording as text; None if there is none.
 
     Args:
         file: the recording.
         fault: why its loop could not write it any more.
-        lost: periods that came faster than the disk took them.
-        ended: whether the loop has ended, so that the file has to be there.
+        lost: number of periods that came faster than the disk could write.
+        ended: whether the loop has ended, so that the file must exist.
     """
     if fault is not None:
         return f"{system_words(fault)}: {file}{_up_to(file)}; the recording broke off, and what it has is kept"
@@ -40,7 +40,7 @@ def broken_recording(file: Path, fault: str | None, lost: int, ended: bool) -> s
 
 
 def _up_to(file: Path) -> str:
-    """Return up to when a recording can be read."""
+    """Return the time up to which a recording can be read, as text."""
     times: list[int] = []
     with contextlib.suppress(SoftmapError):
         times = [time for topic, time, _ in _core.read_recording(str(file)) if topic == LOOP]

@@ -1,9 +1,9 @@
 """A mark of the session that drives a bench, so that the next start can report how the last one ended.
 
-A session leaves the mark in the user's state folder when it begins and takes it away when it ends in order. A program
-that is killed, and a computer that stops, leave it there. The loop outlives a killed program and notes in the mark that
-it has released the servos. Emulated robots at pseudo-terminals have no next start and get no mark. Nothing here stops a
-start: where the folder cannot be written there is no mark. Pinned by tests/test_session_mark.py.
+A session writes the mark to the user's state folder when it begins, and removes it when it ends normally. The mark
+stays if the program is killed or the computer stops. The loop outlives a killed program and notes in the mark that it
+has released the servos. Emulated robots at pseudo-terminals have no next start and get no mark. A start never fails
+because of the mark: if the folder is not writable, there is none. Pinned by tests/test_session_mark.py.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _NAME = 80  # characters of a program's or a file's name that are printed
 
 
 def mark_file(port: str) -> Path | None:
-    """Return the file of the mark of the bench at `port`; None for one that has no next start."""
+    """Return the file of the mark of the rig at `port`; None for an emulated robot."""
     device = os.path.realpath(port)
     if device.startswith(EMULATED):
         return None
@@ -43,14 +43,14 @@ def path_of(port: str) -> str | None:
 
 
 def report_last(port: str) -> None:
-    """Give a `SessionWarning` where the last session at `port` did not end in order."""
+    """Issue a `SessionWarning` if the last session at `port` did not end normally."""
     file = mark_file(port)
     if file is not None and (said := last_session(file)) is not None:
         warnings.warn(SessionWarning(said), stacklevel=3)
 
 
 def begin(port: str, record: Path | None, loop: int) -> Path | None:
-    """Leave the mark of this session, whose control loop is the process `loop`; return its file, None without one."""
+    """Write the mark of this session, whose control loop is the process `loop`; return its file, or None."""
     file = mark_file(port)
     if file is None:
         return None
@@ -70,21 +70,21 @@ def begin(port: str, record: Path | None, loop: int) -> Path | None:
 
 
 def note_released(file: str | None) -> None:
-    """Note that the loop has ended and released the servos; a mark that is not there stays so."""
+    """Note in an existing mark that the loop has ended and released the servos."""
     if file is not None and os.path.exists(file):
         with contextlib.suppress(OSError), open(file, "a", encoding="utf-8") as stream:
             stream.write(json.dumps({"loop": RELEASED}) + "\n")
 
 
 def end(file: Path | None) -> None:
-    """Take the mark away: the session ended in order, or its program was told how it ended."""
+    """Remove the mark: the session ended normally, or its end was reported to the program."""
     if file is not None:
         with contextlib.suppress(OSError):
             file.unlink(missing_ok=True)
 
 
 def last_session(file: Path) -> str | None:
-    """Return how the last session ended where it did not end in order; None where it did, or still runs."""
+    """Return how the last session was interrupted; None if it ended normally or still runs."""
     try:
         with open(file, encoding="utf-8") as stream:
             lines = [json.loads(line) for line in stream.read(_MOST).splitlines()]
@@ -125,7 +125,7 @@ def _runs(pid: int) -> bool:
 
 
 def _boot() -> str:
-    """Return what differs after each start of the computer."""
+    """Return an identifier of the current boot of the computer."""
     with contextlib.suppress(OSError):
         return Path("/proc/sys/kernel/random/boot_id").read_text("ascii").strip()
     return ""

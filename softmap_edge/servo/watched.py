@@ -39,13 +39,13 @@ class Watched:
     _silent: int  # looks of the reader, one after the other, that found no report: a frozen program itself misses one
     _reports: int  # the pipe that reports come through, -1 without one
     _reading: threading.Lock
-    _some: bytes  # of a report that is not whole yet
+    _some: bytes  # of a report that is not complete yet
     _ending: bool
     _drove: bool
     _stood: NDArray[np.float64]
     _record: Path | None
-    _broken: str | None = None  # why the recording broke off
-    _recorded = False  # whether the recording was looked at after the loop had ended
+    _broken: str | None = None  # why the recording was interrupted
+    _recorded = False  # whether the recording was checked after the end of the loop
     _mark: Path | None = None  # of the session
 
     @property
@@ -76,7 +76,7 @@ class Watched:
 
     @property
     def unrecorded(self) -> str | None:
-        """Why the recording ended before the loop did, a full disk perhaps; None while it goes on, or is complete."""
+        """Why the recording ended before the loop (a full disk, for example); None if it goes on or is complete."""
         if self._record is not None and self._broken is None and not self._recorded:
             ended = bool(self._end) and self._process is None
             lost = int(self._end.get("lost", 0)) if ended else 0
@@ -85,18 +85,18 @@ class Watched:
         return self._broken
 
     def check_recorded(self) -> None:
-        """Raise RecordingBroken where a recording ended before the loop did."""
+        """Raise RecordingBroken if a recording ended before the loop."""
         if self.unrecorded is not None:
             raise RecordingBroken(self.unrecorded)
 
     @property
     def mended(self) -> list[str]:
-        """What this start wrote anew in the servos, a line each: registers that another program had left."""
+        """A line for each register that this start rewrote because its value differed."""
         return list(self._last.get("mended", []))
 
     @property
     def bus(self) -> dict[str, int]:
-        """How the questions on the bus went so far: answers `asked` for, `lost`, `damaged`, and `unasked` ones."""
+        """Counts of answers on the bus so far: `asked` for, `lost`, `damaged` and `unasked`."""
         return {name: int(self._last.get(name, 0)) for name in words.BUS}
 
     def _watch(self, pipe: int, process: subprocess.Popen[bytes]) -> None:
@@ -119,7 +119,7 @@ class Watched:
             self._heard.notify_all()
 
     def _take(self) -> bool:
-        """Hear what has come; returns whether more may come. Also called by whoever steps a simulated robot."""
+        """Process received reports; return whether more may come. Also called after each step of simulated time."""
         with self._reading:
             while self._reports >= 0 and select.select([self._reports], [], [], 0.0)[0]:
                 self._silent, more = 0, os.read(self._reports, 65536)
@@ -131,7 +131,7 @@ class Watched:
         return True
 
     def _drained(self) -> None:
-        """Hear what has come, so that what is known of the loop is as of its newest step."""
+        """Process all received reports, so that the known state of the loop is the newest."""
         self._take()
 
     def _hear(self, document: dict[str, Any]) -> None:

@@ -67,8 +67,8 @@ STATES = {
     "commissioning": "Commissioning",
     "fault": "Fault, torque is off",
 }
-BUS = ("asked", "lost", "damaged", "unasked")  # of a report: how questions to the servos went so far
-MANY_LOST = 0.01  # share of the answers from which on it is reported
+BUS = ("asked", "lost", "damaged", "unasked")  # counts of answers in a report
+MANY_LOST = 0.01  # share of lost answers that is reported
 LOSES_HOME = ("silent", "hardware", "following", "lost", "dropped", "tripped")  # causes, under torque
 QUIET = ("engaged", "ready")  # states in which the cause is that of what was before
 
@@ -97,7 +97,7 @@ def cause(report: dict[str, Any]) -> str:
 
 
 def errors(report: dict[str, Any]) -> str:
-    """Return which servos report which hardware errors, empty where none does."""
+    """Return the hardware errors of the servos as text; "" if there are none."""
     known = report.get("hardware") or []
     ids = report.get("ids") or list(range(1, len(known) + 1))
     said = [f"servo {id} reports a hardware error: {hardware(bits)}" for id, bits in zip(ids, known) if bits]
@@ -105,7 +105,7 @@ def errors(report: dict[str, Any]) -> str:
 
 
 def bus(report: dict[str, Any]) -> str:
-    """Return what a report says of answers that were lost or not asked for; empty where all is well."""
+    """Return a sentence on answers that were lost or not asked for; "" if there are none."""
     asked, lost, damaged, unasked = (int(report.get(name) or 0) for name in BUS)
     said = [f"{unasked} answers came that this program did not ask for"] if unasked else []
     said += [f"{lost} of {asked} answers of the servos were lost"] if lost > MANY_LOST * asked else []
@@ -139,7 +139,7 @@ def onward(report: dict[str, Any]) -> str:
 
 
 def restarts(report: dict[str, Any]) -> str:
-    """Return what is to be done about a servo with a hardware error."""
+    """Return the remedy for a servo with a hardware error."""
     ids = [id for id, bits in zip(report.get("ids") or [], report.get("hardware") or []) if bits] or ["N"]
     return f"find the cause, restart it (`softmap servo reboot --rig FILE --id {ids[0]}`, or its supply off and on)"
 

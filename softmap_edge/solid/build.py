@@ -67,9 +67,9 @@ def build_model(
 
 
 def simulator_of(finger: Finger) -> Simulator:
-    """Return the simulator of a finger, whose vertices lie all along the body where that can be had.
+    """Return the simulator of a finger, with vertices all along the body if possible.
 
-    Of a coarse mesh file they are those of the mesh refined.
+    For a coarse mesh file, the vertices of the refined mesh are used.
 
     Raises:
         FingerError: the finger cannot be built.
@@ -79,7 +79,7 @@ def simulator_of(finger: Finger) -> Simulator:
         try:
             solid = solid.other_mesh()
             simulator = Simulator(finger, template=Simulator(finger.replace(solid=solid)).template)
-        except FingerError:  # it cannot be finer; what needs the vertices says so
+        except FingerError:  # it cannot be refined; the code that needs the vertices reports it
             break
     return simulator
 

@@ -1,7 +1,7 @@
-"""Doubt numbers of a finger that look as if they were in another unit, and report a command that its tendons swallow.
+"""Warn about numbers of a finger that may be in another unit, and about commands lost in the stretch of its tendons.
 
-Nothing here refuses: a body may be hard plastic. A number is doubted if it lies far outside what soft bodies have; a
-unit is named if it would explain the number. How much of a command is lost in the stretch of the tendons is computed
+Nothing is refused: a body may be hard plastic. A warning is given if a number lies far outside the range of soft
+bodies. It names a unit that would explain the number. The part of a command that only stretches the tendons is computed
 from the tensions of a sweep.
 """
 
@@ -20,12 +20,12 @@ from softmap_edge.solid.tendons import Tendon
 
 Floats = NDArray[np.float64]
 
-LOST = 0.5  # of a command that stretches the tendons: above, more of it is lost than moves the body
+LOST = 0.5  # share of a command that only stretches the tendons, above which a warning is given
 
 
 @dataclass(frozen=True)
 class Typical:
-    """What soft bodies have of a property, what is hardly ever met, and other units, each in the field's own."""
+    """The usual and the widest range of a property of soft bodies, and other units, each in the unit of the field."""
 
     usual: tuple[float, float]
     possible: tuple[float, float]
@@ -43,7 +43,7 @@ COMMAND = Typical((0.02, 0.2), (2e-4, 1.0), "of the tendon's length", "commands"
 
 
 def doubts(finger: Finger) -> list[str]:
-    """Return what looks wrong in a finger's own numbers and in its mesh file, as sentences.
+    """Return a sentence for each suspicious number of a finger and its mesh file.
 
     Raises:
         FingerError: its mesh file cannot be read.
@@ -119,7 +119,7 @@ def _height(finger: Finger) -> float:
 
 
 def _region(number: int, young: float) -> str:
-    """Doubt the modulus of a region only below: a part of a body may be hard."""
+    """Return a warning if the modulus of a region is too low; a part of a body may be hard."""
     return doubt(f"region[{number}].young_mpa", young, YOUNG) if young < YOUNG.possible[0] else ""
 
 
@@ -136,7 +136,7 @@ def _short(number: int, tendon: Tendon) -> str:
 
 
 def _commands(finger: Finger) -> str:
-    """Doubt ranges of commands that are far smaller than their tendons are long."""
+    """Return a warning if command ranges are far smaller than the length of their tendons."""
     for number, (pair, limits) in enumerate(zip(finger.pairs, finger.command_range)):
         if not _by_length(finger):
             break

@@ -1,7 +1,7 @@
 """Parse a mesh file with meshio: in a child process, as plain arrays, with the groups of cells that it names.
 
-The content decides what reads it, not the ending: legacy VTK, VTK's XML (VTU) or Gmsh. Groups are Gmsh's physical
-volumes, and cell data that label cells (material ids): whole numbers of a few kinds.
+The content selects the reader, not the file name: legacy VTK, VTK's XML (VTU) or Gmsh. Groups are Gmsh's physical
+volumes, and cell data that label cells (material ids): integers with few distinct values.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ OTHERS = [
 
 
 def kind_of(path: Path) -> str:
-    """Return what a file's content is: "vtk", "vtu" or "msh"; raise ValueError with what it is instead."""
+    """Return the format of a file by its content: "vtk", "vtu" or "msh"; raise ValueError for any other."""
     with path.open("rb") as file:
         head = file.read(_HEAD)
     text = head.removeprefix(b"\xef\xbb\xbf").lstrip()
@@ -75,14 +75,14 @@ def parse(path: str, kind: str) -> dict[str, Any]:
 
 
 def _check_pieces(content: bytes) -> None:
-    """Refuse several pieces, of which meshio keeps the last one's cells alone."""
+    """Refuse several pieces: meshio keeps only the cells of the last one."""
     pieces = [int(n) for n in re.findall(rb"""<Piece\b[^>]*\bNumberOfCells\s*=\s*["'](\d{1,12})["']""", content)]
     if len(pieces) > 1:
         raise ValueError(f"{len(pieces)} pieces of {', '.join(map(str, pieces[:5]))} cells; merge them into one")
 
 
 def _take_any_version() -> None:
-    """Let meshio read files of versions that it does not know, in this child alone: tetrahedra are the same in all."""
+    """Let meshio read unknown file versions, in this child only: tetrahedra are the same in all versions."""
     from xml.etree import ElementTree
 
     parse_file, from_text = ElementTree.parse, ElementTree.fromstring
@@ -121,7 +121,7 @@ def _groups(mesh: Any, kind: str, count: int) -> dict[str, NDArray[np.bool_]]:
 
 
 def _label(data: Sequence[Any], blocks: list[int], count: int) -> NDArray[np.int64] | None:
-    """Return the labels (E,) of the cells if an array holds few kinds of whole numbers, one a cell."""
+    """Return the labels (E,) of the cells if an array holds integers with few distinct values, one per cell."""
     parts = [np.asarray(data[k]) for k in blocks]
     values = np.concatenate([part.reshape(len(part), -1) for part in parts]) if parts else np.zeros((0, 1))
     if len(values) != count:

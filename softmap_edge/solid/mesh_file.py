@@ -1,7 +1,7 @@
 """Read the tetrahedra of a mesh file (VTK, VTU or Gmsh) and its groups of cells. Data only; nothing in it is ever run.
 
-meshio parses in a child process with a limit on memory and time (foreign_mesh.py); whatever it stumbles over becomes
-one line. The core checks the mesh itself (rust/fem/tetrahedra.rs).
+meshio parses in a child process with limits on memory and time (foreign_mesh.py); any failure becomes a one-line error.
+The core checks the mesh itself (rust/fem/tetrahedra.rs).
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
-"""What a busy computer takes from a person who drives a simulated robot: it stands meanwhile, which is reported.
+"""Detect that the computer is too busy for a simulated robot: the robot stops meanwhile, which is reported.
 
-Real servos do not wait: there nothing is excused. Pinned by tests/test_simulated_time.py.
+Real servos do not wait, so this does not apply to them. Pinned by tests/test_simulated_time.py.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from collections.abc import Callable
 from softmap_edge.servo.clock import BUSY, Clock
 
 LATE = 0.05  # s between two rounds, several times what one takes: the computer had no time for this program
-LONG, AGAIN = 0.2, 5.0  # s that a robot stood before it is reported, and between two reports
+LONG, AGAIN = 0.2, 5.0  # s of standstill before a report, and between two reports
 SHOWN = 1.0  # s for which a page shows it
 
 
@@ -19,7 +19,7 @@ class Busy:
     """Counts how long the computer was too busy for a simulated robot in the time of `clock`.
 
     Args:
-        clock: of the robot. say: called with a line where it stood.
+        clock: of the robot. say: called with a line after a standstill.
     """
 
     def __init__(self, clock: Clock, say: Callable[[str], None]) -> None:
@@ -30,7 +30,7 @@ class Busy:
         self.seconds, self._stood_at = 0.0, -AGAIN
 
     def round(self, now: float) -> None:
-        """Hear that a round begins at `now` s, a steady clock."""
+        """Register that a round begins at `now` s (steady clock)."""
         before, self.seconds = self.seconds, self._clock.there()
         self._stood_at = now if self.seconds > before else self._stood_at
         if self._clock.simulated and self._last is not None and now - self._last > LATE:
@@ -41,13 +41,13 @@ class Busy:
             self._say(f"{BUSY}: the simulated robot stood still for {stood:.1f} s, and goes on")
 
     def line(self, now: float) -> str:
-        """Return what a page shows at `now` s: that the robot has just stood; empty where it has not."""
+        """Return the line of the page at `now` s on a recent standstill; "" if there was none."""
         return BUSY if now - self._stood_at < SHOWN else ""
 
     def age(self, t: float, now: float) -> float:
-        """Return how old (s) what was seen at `t` is, without the time in which this program could not run."""
+        """Return the age (s) of data seen at `t`, without the time in which this program could not run."""
         return now - t - sum(max(0.0, end - max(begin, t)) for begin, end in self._gaps)
 
     def end(self) -> None:
-        """Let the robot go on whatever this program does."""
+        """Let the robot go on independently of this program."""
         self.seconds = max(self.seconds, self._clock.there(driving=False))

@@ -1,6 +1,6 @@
 """The cameras of this computer, by number, by lasting name, and by path (`/dev/videoN` and what links to one).
 
-Numbers change with every plugging in; the names under `v4l/by-id` and `v4l/by-path` stay. Pinned by
+Numbers can change when a camera is plugged in again; the names under `v4l/by-id` and `v4l/by-path` stay. Pinned by
 tests/test_frames.py.
 """
 
@@ -43,17 +43,17 @@ def cameras(devices: Path = DEVICES) -> list[Camera]:
 
 
 def there(devices: Path = DEVICES) -> str:
-    """Return what a message says of the cameras that are there."""
+    """Return the list of the connected cameras for a message."""
     found = cameras(devices)
     more = f" and {len(found) - MOST} more" if len(found) > MOST else ""
     return f"the cameras here are {', '.join(map(str, found[:MOST]))}{more}" if found else "no camera is connected"
 
 
 def camera_number(text: str, devices: Path = DEVICES) -> int | None:
-    """Return the number of the camera that a path stands for; None where it is not one of a device.
+    """Return the number of the camera at a path; None if the path is not that of a device.
 
     Raises:
-        TeleopError: it is the path of a device, but of no camera that is there.
+        TeleopError: the path is that of a device, but of no connected camera.
     """
     try:
         path = Path(os.path.abspath(text))

@@ -1,10 +1,9 @@
-"""The hand of a press: it drives until the key is released, and no other hand in its place.
+"""Follow the hand that was seen when the key was pressed: only this hand drives until the key is released.
 
-A picture shows the same hand if palm, size and direction have moved no further than a hand moves in the time since it
-was seen last (time in which another one is in view instead does not count). MediaPipe takes a left hand for a right
-one now and then, for a picture or two, so that a changed side alone counts only if it lasts. Every other hand is no
-hand: nothing drives from it. The hand of the press may come back as long as it is not gone for longer than `eyes.SEEN`.
-Pinned by tests/test_own_hand.py.
+A picture shows the same hand if palm, size and direction have changed no more than a hand can in the time since it was
+last seen (time in which another hand is in view does not count). MediaPipe sometimes takes a left hand for a right one
+for a picture or two, so a changed side alone counts only if it lasts. Any other hand counts as no hand. The hand may
+come back if it was not gone for longer than `eyes.SEEN`. Pinned by tests/test_own_hand.py.
 """
 
 from __future__ import annotations
@@ -19,33 +18,33 @@ from softmap_edge.teleop.hand import INDEX_KNUCKLE, MIDDLE_KNUCKLE, WRIST, Hand,
 
 Floats = NDArray[np.float64]
 
-PALM = (WRIST, INDEX_KNUCKLE, MIDDLE_KNUCKLE, 13, 17)  # what fingers do does not move these
+PALM = (WRIST, INDEX_KNUCKLE, MIDDLE_KNUCKLE, 13, 17)  # motion of the fingers does not move these
 LENGTH = 2.0  # wrist to fingertip, in wrist to middle knuckle
 PICTURE = 1.0 / 30.0  # s: two pictures that are nearer in time are compared as if they were this far apart
 LEAP, SPEED = 1.0, 12.0  # hand lengths from a picture to the next, and a second beyond: 6 m/s and 2.4 m/s
 GROWTH, GROWS = math.log(1.55), 3.0  # of the size (log), from a picture to the next, and a second beyond
 TURN, TURNS = math.radians(75.0), math.radians(400.0)  # of its direction, likewise
 FLAT = 0.5  # of the palm's size that wrist to knuckle must be long, for its direction to count
-SIDES = 2  # pictures in which the other side is taken for an error of who looked
+SIDES = 2  # pictures in which the other side counts as an error of the detector
 ANOTHER = "another hand is in view"
 
 
 class OwnHand:
-    """Follows one hand from picture to picture; `other` is true where another one was seen in its place."""
+    """Follow one hand from picture to picture; `other` is true if another one was seen in its place."""
 
     def __init__(self) -> None:
         self.begin(None, -math.inf)
 
     def begin(self, hand: Hand | None, t: float) -> None:
-        """Follow this hand, seen at `t` s; None follows whichever is surest."""
+        """Follow this hand, seen at `t` s; None follows the hand with the highest score."""
         self._last, self._t, self._side = hand, t, "" if hand is None else hand.side
         self._strange, self.other, self._until = 0, False, math.inf
 
     def among(self, hands: Sequence[Hand], t: float) -> Hand | None:
-        """Return which of the hands in a picture taken at `t` s it is; None where it is none of them.
+        """Return the followed hand among those in a picture taken at `t` s; None if it is not there.
 
         Args:
-            hands: all that may drive. t: s, when the picture was taken.
+            hands: all hands that may drive. t: time of the picture, s.
         """
         hands = [hand for hand in hands if np.isfinite(hand.points).all()]
         if self._last is None:

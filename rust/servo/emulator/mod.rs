@@ -210,7 +210,7 @@ impl Emulator {
                     }
                 } else {
                     for servo in self.servos.iter_mut().filter(|servo| hears(servo)) {
-                        // Nobody answers what all were asked.
+                        // A request to all servos is not answered.
                         let _ = single(servo, asked, parameters);
                     }
                 }
@@ -219,7 +219,7 @@ impl Emulator {
         }
     }
 
-    /// Let each servo that obeys `id` act; whether it did, nobody hears.
+    /// Let each servo that obeys `id` act, without an answer.
     fn each(
         &mut self,
         id: u8,
@@ -235,8 +235,8 @@ impl Emulator {
         }
     }
 
-    /// Let each servo that obeys `id` act, and those called so answer; two of one id talk over each other, unless one is
-    /// so much slower that it begins when the other has ended.
+    /// Let each servo that obeys `id` act, and those with this id answer. Answers of two servos with one id overlap, unless
+    /// one begins after the other has ended.
     fn answer(
         &mut self,
         id: u8,
@@ -271,7 +271,7 @@ impl Emulator {
         self.say_together(spoken);
     }
 
-    /// Answers of one id, each begun after its delay: those that overlap are laid over one another, some bytes apart.
+    /// Answers of one id, each begun after its delay: overlapping answers are merged, some bytes apart.
     fn say_together(&mut self, mut spoken: Vec<(f64, Vec<u8>)>) {
         spoken.sort_by(|a, b| a.0.total_cmp(&b.0));
         let byte = 10.0 / f64::from(self.baud);
@@ -361,7 +361,7 @@ impl Emulator {
     }
 }
 
-/// Two answers on one wire, the second begun some bytes later: a bit is up only where both leave it up.
+/// Two answers on one wire, the second begun some bytes later: a bit is 1 only where it is 1 in both.
 fn laid_over(first: &[u8], second: &[u8], late: usize) -> Vec<u8> {
     let at = |bytes: &[u8], k: Option<usize>| k.and_then(|k| bytes.get(k).copied()).unwrap_or(0xFF);
     let length = first.len().max(second.len() + late);

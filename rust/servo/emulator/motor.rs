@@ -61,8 +61,8 @@ pub(super) struct Caps {
 }
 
 impl Caps {
-    /// Those of `model` while its registers of goal current, goal PWM and profile velocity (0: none) say `goal`, `pwm` and
-    /// `profile`. PWM slows it down as well.
+    /// Those of `model` while its registers of goal current, goal PWM and profile velocity (0: none) hold `goal`, `pwm`
+    /// and `profile`. PWM slows it down as well.
     pub fn of(model: &Model, goal: i32, pwm: i32, profile: i32) -> Caps {
         let share = f64::from(pwm) / f64::from(FULL_PWM);
         let (now, largest) = if model.has_current() {

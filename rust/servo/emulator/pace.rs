@@ -2,7 +2,7 @@
 
 use std::time::{Duration, Instant};
 
-/// For so long a thread sleeps at most: whether a side is gone is looked for that often.
+/// The longest sleep of a thread: the interval of the checks for a closed connection.
 pub const NAP: Duration = Duration::from_millis(50);
 /// Lateness that is made up for; what is beyond is left out.
 const LATE: Duration = Duration::from_millis(20);
@@ -20,7 +20,7 @@ pub struct Clock {
     pub now: u64,
     pub base: u64,
     pub pace: Pace,
-    /// Until when whoever drives is there, if it matters; since when it is not.
+    /// Until when the driving program counts as alive, if it matters; since when it does not.
     pub there: Option<Instant>,
     pub stands: Option<Instant>,
     /// How long the computer was too busy.

@@ -17,9 +17,9 @@ pub const RESET: f64 = 0.3;
 const STRAINED: f64 = 0.95;
 const PATIENCE: f64 = 1.0;
 const OVERLOAD: u8 = 0x20;
-/// Its position gain P as delivered, that of an XL330; nothing here acts on it.
+/// Its factory position gain P, that of an XL330; the emulator does not use it.
 const GAIN: i32 = 400;
-/// Bits of its drive mode: directions turned round, and torque that a goal switches on.
+/// Bits of its drive mode: reversed directions, and torque that a goal switches on.
 const REVERSED: i32 = 1;
 const ON_BY_GOAL: i32 = 8;
 
@@ -93,13 +93,13 @@ impl Servo {
         self.table.get(self.model.layout().id) as u8
     }
 
-    /// Whether it does what is asked of `id`: of its own, or of its secondary one (register 12), which it never answers.
+    /// Whether it obeys requests to `id`: its own id, or its secondary one (register 12), to which it never answers.
     pub fn obeys(&self, id: u8) -> bool {
         let shadow = self.table.get(self.model.layout().shadow_id) as u8;
         self.id() == id || shadow == id && shadow <= HIGHEST_ID
     }
 
-    /// 1, or −1 where its drive mode turns every direction round.
+    /// 1, or −1 if its drive mode reverses every direction.
     fn way(&self) -> f64 {
         if self.table.get(self.model.layout().drive_mode) & REVERSED == 0 {
             1.0

@@ -1,8 +1,8 @@
 //! The emulated bus in simulated time, at a local socket: the other end of `lockstep.rs`.
 //!
 //! Time passes in steps that the master takes: it stands while an answer is computed or read, so that load changes no
-//! result. Beyond that it keeps to one of two paces. `Paced` follows real time and never catches up: what the computer was
-//! late by is left out and counted. `Stepped` goes on as far as it is granted, as fast as it can.
+//! result. Beyond that it keeps to one of two paces. `Paced` follows real time and never catches up: delays of the
+//! computer are left out and counted. `Stepped` advances as far as it is granted, as fast as it can.
 
 use std::fs::{DirBuilder, remove_dir_all};
 use std::io::{Read, Result, Write};
@@ -121,13 +121,13 @@ impl Simulated {
             }
             clock = self.shared.sleep(clock, left);
         }
-        // A master that waits for later sees nothing of this, and whoever looks at the horns sees them move.
+        // A master that waits for a later time does not notice this; readers of the horns see them move.
         clock.now = clock.now.max(granted);
         self.emulator().run(clock.now as f64 * 1e-9);
         true
     }
 
-    /// Where time is stepped: let it go on as it likes, or stand where it is. The time then.
+    /// For stepped time: let it run freely, or stop it. Returns the time.
     pub fn free(&self, free: bool) -> u64 {
         let mut clock = self.shared.clock();
         let now = clock.now;
@@ -138,7 +138,8 @@ impl Simulated {
         clock.base + now
     }
 
-    /// Where time is paced: whoever drives is there for so long, or need not be. How long the computer was too busy.
+    /// For paced time: the driving program is alive for `window` more, or need not be. Returns how long the computer was
+    /// too busy.
     pub fn there(&self, window: Option<Duration>) -> Duration {
         let mut clock = self.shared.clock();
         clock.there = window.map(|window| Instant::now() + window);
@@ -151,14 +152,14 @@ impl Simulated {
         self.shared.clock().asked.is_some()
     }
 
-    /// Pull the plug: whoever has the port open finds it gone.
+    /// Pull the plug: a program that has the port open finds it gone.
     pub fn unplug(&mut self) {
         self.shared.stop.store(true, Ordering::Relaxed);
         self.shared.turned.notify_all();
         if let Some(thread) = self.thread.take() {
             // A panic of the thread has been printed; the socket is closed either way.
             let _ = thread.join();
-            // What is left in a temporary folder harms nobody.
+            // A file left in a temporary folder is harmless.
             let _ = remove_dir_all(&self.folder);
         }
     }
@@ -340,7 +341,7 @@ fn wait(shared: &Shared, stream: &UnixStream, until: u64) -> bool {
     shared.turned.notify_all();
     while let Some(left) = clock.left(until, Instant::now()) {
         clock = shared.sleep(clock, left);
-        // A master that waits says nothing: what can be read is its end.
+        // A waiting master sends nothing: a successful read means that it has closed.
         if shared.stopped() || ready(stream, Duration::ZERO) {
             return false;
         }

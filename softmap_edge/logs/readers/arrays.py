@@ -1,4 +1,4 @@
-"""Turns named arrays (.npz, .mat, HDF5, Parquet) into named columns: `u`, `u[0]`, `markers[2].x`.
+"""Turn named arrays (.npz, .mat, HDF5, Parquet) into named columns: `u`, `u[0]`, `markers[2].x`.
 
     (K,)       name                       (K, C)     name[0] … name[C-1]
     (K, M, 3)  name[0].x, .y, .z, …       (K, A, B)  name[0,0] … name[A-1,B-1]
@@ -80,12 +80,12 @@ def columns_of_arrays(
         path: the file.
         arrays: numbers of any shape, by name.
         texts: columns of text, by name.
-        labels: of a two-dimensional array, what its columns are called in place of their numbers.
-        notes: what the reader did.
+        labels: names for the columns of a two-dimensional array, in place of their numbers.
+        notes: sentences on changes that the reader made.
         left_out: arrays that hold no numbers, with the reason.
 
     Raises:
-        RunError: nothing in the file is a column.
+        RunError: the file holds no column.
     """
     usual = _vector_lengths(arrays, texts or {})
     names: list[str] = []

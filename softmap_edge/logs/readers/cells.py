@@ -1,4 +1,4 @@
-"""Cuts one line of a text log into cells, and decides what a cell holds: a number, a time, a unit, a name."""
+"""Cut one line of a text log into cells, and decide whether a cell is a number, a time, a unit or a name."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _BRACKETS = "[](){}"
 
 
 def split(line: str, delimiter: str) -> list[str]:
-    """Return the cells of one line, stripped; [] where it is no CSV."""
+    """Return the cells of one line, stripped; [] if it is no CSV."""
     if '"' not in line:
         return [cell.strip() for cell in (line.split() if delimiter == " " else line.rstrip("\r\n").split(delimiter))]
     try:
@@ -36,7 +36,7 @@ def trimmed(cells: list[str]) -> list[str]:
 
 
 def find_delimiter(line: str) -> str:
-    """Return what cuts a line into most cells; a space only where nothing else does.
+    """Return the delimiter that gives the most cells; a space only if no other delimiter occurs.
 
     Between numbers with decimal commas there are more commas than delimiters: the delimiter does not cut such numbers.
     """

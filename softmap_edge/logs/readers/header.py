@@ -1,11 +1,11 @@
-"""Finds where the table of a text log begins: what cuts its lines, the line of names, units, and the first row.
+"""Find where the table of a text log begins: its delimiter, the line of names, units, and the first row.
 
 Loggers and vendors write lines of all kinds above the names. The table is the longest stretch of rows of one width
 that are mostly numbers or times; its names are the last line of text above it that is as wide as the rows (a line of
 units below the names apart). Names over several columns (`tip` above `X, Y, Z`) go in front of those below them. A
 first line that looks like the rows below it is a row: text in it stands only where the rows have text.
 
-Only the first lines are looked at (`LINES`, `CHARACTERS`), however long the file. Pinned by tests/test_header.py.
+Only the first lines are searched (`LINES`, `CHARACTERS`), however long the file is. Pinned by tests/test_header.py.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ class Table:
     """The head of a table.
 
     Attributes:
-        delimiter: what cuts the lines.
+        delimiter: the separator of cells.
         names: of the columns; None where no line holds them.
         first: the index of the first row among the lines.
         header: the index of the line of names; None without one.
@@ -58,7 +58,7 @@ class _Line:
 
 
 def enough(lines: list[str]) -> list[str]:
-    """Return the first lines, as many as are looked at."""
+    """Return the first lines, as many as are searched."""
     held = 0
     for k, line in enumerate(lines[:LINES]):
         held += len(line)
@@ -68,11 +68,11 @@ def enough(lines: list[str]) -> list[str]:
 
 
 def find_table(lines: list[str], delimiter: str | None, absent: Collection[str]) -> Table | None:
-    """Return where the table of these first lines begins; None where no line looks like a row.
+    """Return where the table of these first lines begins; None if no line looks like a row.
 
     Args:
         lines: the first lines of a log.
-        delimiter: what cuts them; None to find it.
+        delimiter: the separator of cells; None to find it.
         absent: words (lower case) that stand for a cell without a value.
     """
     lines = enough(lines)
@@ -91,7 +91,7 @@ def find_table(lines: list[str], delimiter: str | None, absent: Collection[str])
 
 
 def _marks(lines: list[str]) -> list[str]:
-    """What may cut these lines, the likelier first."""
+    """Return the possible delimiters of these lines, the most likely first."""
     marks = [mark for mark in DELIMITERS if any(mark in line for line in lines)]
     return marks + [" "] * any(" " in line.strip() for line in lines) or [","]
 

@@ -1,9 +1,9 @@
-"""Runs parsers of foreign formats on files of unknown origin in a child process with limits of memory and time.
+"""Run parsers of foreign formats on files of unknown origin in a child process with limits of memory and time.
 
 `read_in_child(path, what, call, **arguments)` asks a server process, started once, which imports the parser and forks
 for each file. The fork takes at most MEMORY more than the server has, and SECONDS of processor time (more for large
-files). Whatever ends it, the parent gets arrays and a document, or raises one RunError. The answer is a JSON head and
-plain float64 numbers in a temporary file: nothing is unpickled. Pinned by tests/test_read_in_child.py.
+files). The parent gets arrays and a document, or raises one RunError. The answer is a JSON head and plain float64
+numbers in a temporary file: nothing is unpickled. Pinned by tests/test_read_in_child.py.
 """
 
 from __future__ import annotations
@@ -47,11 +47,11 @@ _START = (
 
 @dataclass
 class Answer:
-    """What a parser found.
+    """The result of a parser.
 
     Attributes:
         arrays: numbers by name, of any shape.
-        document: whatever else, as JSON.
+        document: all other results, as JSON.
     """
 
     arrays: dict[str, Array] = field(default_factory=dict)
@@ -132,7 +132,7 @@ class _Server:
         return json.loads(line) if line else "the process that reads it ended"
 
     def close(self) -> None:
-        """End the process, without waiting for what it does."""
+        """End the process without waiting for its work."""
         if os.getpid() == self.owner:
             for stream in (self.process.stdin, self.process.stdout):
                 with contextlib.suppress(OSError):
@@ -172,7 +172,7 @@ def serve() -> None:
     """Answer questions on standard input until it ends."""
     answers = os.fdopen(os.dup(1), "w", encoding="utf-8")
     nothing = os.open(os.devnull, os.O_RDWR)
-    os.dup2(nothing, 1)  # what a parser prints is no answer
+    os.dup2(nothing, 1)  # the output of a parser is no answer
     for line in sys.stdin.buffer:
         print(json.dumps(_in_fork(json.loads(line))), file=answers, flush=True)
 

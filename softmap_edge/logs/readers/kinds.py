@@ -1,6 +1,6 @@
-"""Finds the format of a log by its first bytes, and for a format that is not read names it and the way out.
+"""Find the format of a log by its first bytes; for a format that is not read, name it and the remedy.
 
-A name decides only where the bytes say nothing (.c3d, .trc, .mat of MATLAB 4). Pinned by tests/test_formats.py.
+The file name decides only if the bytes do not (.c3d, .trc, .mat of MATLAB 4). Pinned by tests/test_formats.py.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ RECORDINGS = ("mcap", "db3")  # several topics, stamped with the time of recordi
 ARRAYS = ("npz", "npy", "mat", "hdf5", "parquet")
 PACKED = ("zstd", "gzip")
 HDF5 = b"\x89HDF\r\n\x1a\n"
-_HEAD = 4096  # bytes of a file that are looked at
+_HEAD = 4096  # bytes of a file that are tested
 _TAIL = 2**16 + 300  # bytes at the end of an archive that may hold its last record
 _CONTENTS = 2**20  # bytes of an archive's table of contents
 _SURE = 8  # letters with which a text hardly begins
@@ -40,7 +40,7 @@ _SHEET = "save the sheet as CSV"
 _PACK = "unpack it and give the log inside"
 _CONVERT = "export its signals as CSV or MCAP"
 _PICTURE = "a picture or video, no log; give the log of the recording"
-# What begins so is not read: bytes, what it is and what to do.
+# Formats that are not read: first bytes, name and remedy.
 _FOREIGN: tuple[tuple[bytes, str], ...] = (
     (b"#ROSBAG V", _BAG),
     (b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1", f"an old spreadsheet or document (.xls): {_SHEET}"),
@@ -101,7 +101,7 @@ def kind_of(path: Path) -> str:
 
 
 def _refuse_foreign(path: Path, start: bytes) -> None:
-    """Raise what names a format that is not read."""
+    """Raise RunError with the name of a format that is not read."""
     for magic, what in _FOREIGN:
         if start.startswith(magic) and not _like_text(magic, start):
             raise _not_read(path, what)
@@ -125,7 +125,7 @@ def _not_read(path: Path, what: str) -> RunError:
 
 
 def _checked_mcap(path: Path, start: bytes) -> str:
-    """Return `mcap`; raise RunError where its header says that it holds ROS 1 messages."""
+    """Return `mcap`; raise RunError if its header declares ROS 1 messages."""
     length = int.from_bytes(start[17:21], "little")
     if start[8:9] == b"\x01" and start[21 : 21 + min(length, 16)] == b"ros1":
         bag = _CONVERT_BAG.format(file="FILE.bag")
@@ -160,7 +160,7 @@ def check_contents(path: Path) -> None:
     """Refuse an archive whose table of contents is too large, before `zipfile` takes memory for each entry.
 
     Raises:
-        RunError: it is.
+        RunError: it is too large.
     """
     with path.open("rb") as file:
         file.seek(max(0, file.seek(0, 2) - _TAIL))
@@ -174,7 +174,7 @@ def check_contents(path: Path) -> None:
 
 
 def _refuse_calibration(path: Path, text: str) -> None:
-    """Raise what explains a calibration of LeRobot, which is no log."""
+    """Raise RunError with an explanation if the text is a calibration of LeRobot, which is no log."""
     if not text.lstrip().startswith("{") or '"homing_offset"' not in text:
         return
     from softmap_edge.logs.lerobot import explained

@@ -1,7 +1,7 @@
-"""Reads the arrays of a MATLAB file: v4 to v7 by scipy, v7.3 and other HDF5 files by h5py, in a child process.
+"""Read the arrays of a MATLAB file: v4 to v7 by scipy, v7.3 and other HDF5 files by h5py, in a child process.
 
-Arrays of numbers, and those in structs and groups, by their path: `u`, `log.time`, `log.signals[0].values`. What holds
-no plain numbers (tables, timetables, timeseries and other objects, functions, cells) is left out and named. Links to
+Arrays of numbers, and those in structs and groups, by their path: `u`, `log.time`, `log.signals[0].values`. Values
+without plain numbers (tables, timetables, timeseries, other objects, functions, cells) are left out and named. Links to
 other files, data kept outside and filters that HDF5 would load are not followed. zlib's checksums are checked, and
 those of HDF5 where the file has them.
 """
@@ -27,7 +27,7 @@ _EXPORT = "save its numbers as arrays (for a timetable: t = seconds(tt.Time); u 
 
 
 def preload() -> None:
-    """Import what reads these files, once for all of them."""
+    """Import the readers of these files, once for all of them."""
     import h5py
     import scipy.io
 
@@ -64,7 +64,7 @@ def _opened(path: Path, what: str, function: str) -> ArrayColumns:
 
 
 class _Found:
-    """What a walk through a file found."""
+    """The findings of a walk through a file."""
 
     def __init__(self, path: Path) -> None:
         self.path = path

@@ -1,4 +1,4 @@
-"""Accounts for what was read of an MCAP file and what was not: chunks left out, bytes that are no records, messages.
+"""Count the read and the lost parts of an MCAP file: chunks left out, bytes that are no records, messages.
 
 Pinned by tests/test_mcap_damage.py.
 """
@@ -26,7 +26,7 @@ class Lost:
 
 @dataclass
 class Account:
-    """What was found in a file of `size` bytes whose end states `closing`."""
+    """The findings in a file of `size` bytes whose end states `closing`."""
 
     path: Path
     size: int
@@ -59,7 +59,7 @@ class Account:
 
     @property
     def damage(self) -> Damage | None:
-        """One sentence on what is wrong with the file; None where nothing is."""
+        """Return one sentence on the damage of the file; None if there is none."""
         found = [*self._left_out(), *self._missing(), *self._contradictions()]
         if self.closing is not None and not found:
             return None
@@ -70,7 +70,7 @@ class Account:
 
     @property
     def remarks(self) -> list[str]:
-        """What else is to be known of the file, a sentence each."""
+        """Return further remarks on the file, a sentence each."""
         said = []
         checked = self.closing is not None and self.closing.data
         if self.unchecked and not checked:

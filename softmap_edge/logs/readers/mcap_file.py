@@ -38,7 +38,7 @@ class Topic:
 
 
 def topics(path: Path) -> list[Topic]:
-    """Return what was recorded; a file that is damaged or cut gives a `RecordingWarning`.
+    """Return the recorded topics; issue a `RecordingWarning` for a damaged or cut file.
 
     Raises:
         RunError: as `open_mcap`.
@@ -62,7 +62,7 @@ def topics(path: Path) -> list[Topic]:
 def open_mcap(path: Path, topic: str | None, most: int | None = None) -> HeldColumns:
     """Read the messages of a topic, of the only one if `topic` is None; `most` ends the reading early.
 
-    What is damaged or missing in the file is a `Damage` among the notes, and a `RecordingWarning`.
+    Damaged or missing parts are reported as a `Damage` among the notes and as a `RecordingWarning`.
 
     Raises:
         RunError: `mcap` is not installed, the file is damaged, or the topic is not there or cannot be decoded.
@@ -71,7 +71,7 @@ def open_mcap(path: Path, topic: str | None, most: int | None = None) -> HeldCol
         found = topics(path)
         if len(found) != 1:
             named = ", ".join(f"{t.name} ({t.type})" for t in found)[:300] or "none"
-            raise RunError(f'{path}: holds {len(found)} topics ({named}); say in the mapping which: topic = "…"')
+            raise RunError(f'{path}: holds {len(found)} topics ({named}); name one in the mapping: topic = "…"')
         topic = found[0].name
     messages = Messages(path)
     index: dict[str, int] = {}  # column → place

@@ -1,4 +1,4 @@
-"""Reads the messages of an MCAP file whose checksums hold, and accounts for the others.
+"""Read the messages of an MCAP file whose checksums match, and count the others.
 
 A chunk whose checksum, size or compression fails is left out, and those after it are still read. Pinned by
 tests/test_mcap_damage.py and tests/test_import_mcap.py.
@@ -48,7 +48,7 @@ class Messages:
     `.account` holds what was left out, complete once all messages were read.
 
     Raises:
-        RunError: `mcap` is not installed, the file is none, or nothing in it vouches for its messages.
+        RunError: `mcap` is not installed, the file is no MCAP file, or no checksum confirms its messages.
     """
 
     def __init__(self, path: Path) -> None:
@@ -181,7 +181,7 @@ def unpacked(chunk: Chunk) -> bytes:
     """Return the bytes of a chunk, at most as many as it states, their checksum checked.
 
     Raises:
-        Bad: they cannot be had, or do not match their size or checksum.
+        Bad: they cannot be unpacked, or do not match their size or checksum.
     """
     if chunk.size > _LARGEST:
         raise Bad(f"a chunk of {chunk.size} bytes, at most {_LARGEST} are unpacked")

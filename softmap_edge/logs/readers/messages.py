@@ -1,4 +1,4 @@
-"""Gathers decoded messages of one topic as a table: a row a message, columns by name, `time` and `log_time`."""
+"""Gather decoded messages of one topic as a table: one row per message, columns by name, `time` and `log_time`."""
 
 from __future__ import annotations
 

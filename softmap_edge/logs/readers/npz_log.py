@@ -1,4 +1,4 @@
-"""Reads the arrays of a log in NumPy's formats: `.npz` by name, `.npy` as one array called `data`.
+"""Read the arrays of a log in NumPy's formats: `.npz` by name, `.npy` as one array called `data`.
 
 Never unpickles: arrays of Python objects are left out and named. Sizes are checked against the archive before anything
 is unpacked, and the checksums of the archive are checked. Arrays with named fields become one column a field.
@@ -109,7 +109,7 @@ def _array(stream: IO[bytes], size: int) -> NDArray[Any] | None:
 def _sort(
     name: str, array: NDArray[Any], arrays: dict[str, NDArray[Any]], texts: dict[str, list[str]], left_out: list[str]
 ) -> None:
-    """Put an array among the numbers, the texts, or what is left out."""
+    """Add an array to the numbers, the texts, or the names that are left out."""
     if name in arrays or name in texts:
         raise ValueError(f"two arrays are called '{name[:60]}'")
     if array.dtype.names is not None:

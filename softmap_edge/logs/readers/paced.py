@@ -1,4 +1,4 @@
-"""Adds the column `time` to a log that states its rate in its head and counts frames, or nothing at all."""
+"""Add the column `time` to a log that states its rate in its head, from frame numbers or row numbers."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class PacedColumns:
 
     @property
     def where(self) -> str:
-        """What a row is called."""
+        """The name of a row."""
         return self.inner.where
 
     @property

@@ -1,4 +1,4 @@
-"""Unpacks a log that was packed as a file: `.mcap.zstd` of rosbag2, `.csv.gz`.
+"""Unpack a log that was packed as a file: `.mcap.zstd` of rosbag2, `.csv.gz`.
 
 The unpacked file lies in a temporary folder as long as the object that `unpack` returns is kept. At most LIMIT bytes
 are unpacked, and never more than half of what is free on the disk; checksums that the packing carries are checked.

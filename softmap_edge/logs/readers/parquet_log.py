@@ -1,4 +1,4 @@
-"""Reads a log in Parquet, such as an episode of a LeRobot dataset, by pyarrow in a child process.
+"""Read a log in Parquet, such as an episode of a LeRobot dataset, by pyarrow in a child process.
 
 A column of numbers keeps its name; one of lists of numbers becomes `action[0]` … or, where the dataset's
 `meta/info.json` names them, `action[shoulder_pan.pos]`. Of several episodes one is read. Times become seconds, texts
@@ -25,7 +25,7 @@ _SHOWN = 3  # episodes that a message lists
 
 
 def preload() -> None:
-    """Import what reads these files, once for all of them."""
+    """Import the readers of these files, once for all of them."""
     import pyarrow.parquet
 
     assert pyarrow.parquet
@@ -171,7 +171,7 @@ class _Gathered:
 
 def _ask(path: Path, rows: int) -> None:
     raise RunError(
-        f"{path}: holds several episodes ({rows} rows), and each is a run of its own; say in the mapping which: "
+        f"{path}: holds several episodes ({rows} rows), and each is a run of its own; name one in the mapping: "
         "episode = 0"
     )
 

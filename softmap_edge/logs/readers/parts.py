@@ -1,4 +1,4 @@
-"""Reads several files of one log one after another: the parts of a split bag, or logs with equal mappings."""
+"""Read several files of one log one after another: the parts of a split bag, or logs with equal mappings."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class JoinedColumns:
     """The columns of several files as one; a column that a file lacks is empty in its rows.
 
     Attributes:
-        path: what messages are of.
+        path: the path that messages name.
         parts: each file opened, with its name.
         clock: the column that puts them in order.
     """
@@ -38,7 +38,7 @@ class JoinedColumns:
 
     @property
     def where(self) -> str:
-        """What a row is called."""
+        """The name of a row."""
         return self.parts[0][1].where
 
     def read(self, places: list[int], label: int | None = None, rows: int | None = None) -> Cells:
@@ -77,18 +77,18 @@ class JoinedColumns:
                 raise RunError(
                     f"{self.path}: {self.parts[k][0]} and {self.parts[later][0]} overlap in time ({self.clock} ends at "
                     f"{times[k].max():.10g} and begins at {times[later].min():.10g}), so they are no parts of one "
-                    "recording; give one of them, or say by `file` in the mapping which log is which"
+                    "recording; give one of them, or assign each log by `file` in the mapping"
                 )
 
     def _pause(self, order: Sequence[int], times: list[Array]) -> str:
-        """Say how long the longest pause between two files is."""
+        """Return a text on the longest pause between two files."""
         pauses = [float(times[later].min() - times[k].max()) for k, later in zip(order, order[1:])]
         unit = "s" if self.clock == "log_time" else f"in {self.clock[:40]}"
         return f"; the longest pause between two is {max(pauses):.3g} {unit}" if pauses else ""
 
 
 def _noted(name: str, note: str) -> str:
-    """Say which part a note is about; a note of a type of its own stays what it is."""
+    """Return a note with the name of its part; a note of a subclass of str keeps its type."""
     return f"{name}: {note}" if type(note) is str else note
 
 

@@ -1,6 +1,6 @@
-"""Finds the files of a recording that is a folder: rosbag2's, with `metadata.yaml`, or a LeRobot dataset.
+"""Find the files of a recording that is a folder: of rosbag2, with `metadata.yaml`, or a LeRobot dataset.
 
-Of metadata.yaml only the list of files is read, and of each only its name: a path out of the folder leads nowhere.
+Of metadata.yaml only the list of files is read, and of each only its name: paths out of the folder are not followed.
 Without metadata.yaml, as an interrupted recorder leaves it, the recordings in the folder are its files.
 """
 
@@ -24,7 +24,7 @@ _LONGEST = 2**24  # bytes of a metadata.yaml that are read
 
 @dataclass(frozen=True)
 class Folder:
-    """The files of a recording and what to know about them."""
+    """The files of a recording, and remarks on them."""
 
     files: tuple[Path, ...]
     notes: tuple[str, ...] = ()
@@ -99,7 +99,7 @@ def _name(item: str) -> str:
 
 
 def _present(folder: Path, name: str) -> Path | None:
-    """Return the file of this name, or what packing as a file made of it."""
+    """Return the file of this name, or its packed form."""
     if name in ("", ".", ".."):
         return None
     for ending in ("", ".zstd", ".zst"):
@@ -125,7 +125,7 @@ def _inside(folder: Path) -> list[Path]:
 
 
 def _what(folder: Path, inside: list[Path]) -> str:
-    """Say what a folder holds."""
+    """Return a text on the contents of a folder."""
     bags = [path.name for path in inside if path.is_dir() and ((path / METADATA).is_file() or is_dataset(path))]
     if bags:
         return f"it holds the recordings {', '.join(bags)[:200]}: give one of them"

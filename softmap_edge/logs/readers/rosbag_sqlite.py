@@ -1,7 +1,7 @@
-"""Reads a topic of a rosbag2 recording in SQLite (.db3): one row a message, columns by `cdr.py`, as `mcap_file.py`.
+"""Read a topic of a rosbag2 recording in SQLite (.db3): one row per message, columns by `cdr.py`, as `mcap_file.py`.
 
 The database is opened by Python's own `sqlite3`, read-only, without views, triggers, extensions or memory maps, and
-with limits of size and steps, because it may be made to harm. A log that an interrupted recorder left (`-wal`) is
+with limits of size and steps, because it may be malicious. A log that an interrupted recorder left (`-wal`) is
 merged in a copy. Recordings up to Humble hold no definitions of their messages: `message_types.py` has the common
 ones, and then a message must be used up to its last byte. SQLite files carry no checksum.
 """
@@ -48,7 +48,7 @@ class _Channel:
 
 
 def topics_of_db3(path: Path) -> list[Topic]:
-    """Return what was recorded.
+    """Return the recorded topics.
 
     Raises:
         RunError: the file is damaged, or no recording of rosbag2.
@@ -85,7 +85,7 @@ def _chosen(path: Path, channels: list[_Channel], topic: str | None) -> _Channel
     fits = [one for one in channels if topic is None or one.name == topic]
     if topic is None and len(fits) != 1:
         named = ", ".join(f"{one.name} ({one.type})" for one in channels)[:300] or "none"
-        raise RunError(f'{path}: holds {len(channels)} topics ({named}); say in the mapping which: topic = "…"')
+        raise RunError(f'{path}: holds {len(channels)} topics ({named}); name one in the mapping: topic = "…"')
     if not fits or not fits[0].count:
         listed = ", ".join(sorted(one.name for one in channels if one.count))[:200] or "none"
         asked = fits[0].name if fits else topic
@@ -125,7 +125,7 @@ def _types_or_fault(path: Path, channel: _Channel) -> Types:
 # --- the database --------------------------------------------------------------------------
 @contextlib.contextmanager
 def _opened(path: Path) -> Iterator[tuple[sqlite3.Connection, list[str]]]:
-    """Open the database under its limits; what SQLite finds wrong is one error."""
+    """Open the database under its limits; every fault that SQLite reports becomes one error."""
     notes: list[str] = []
     with contextlib.ExitStack() as stack:
         try:
@@ -147,7 +147,7 @@ def _opened(path: Path) -> Iterator[tuple[sqlite3.Connection, list[str]]]:
 
 
 def _merged(path: Path, notes: list[str], stack: contextlib.ExitStack) -> Path:
-    """Return the file, or a copy with what an interrupted recorder left next to it."""
+    """Return the file, or a copy merged with the log that an interrupted recorder left next to it."""
     log = path.with_name(path.name + "-wal")
     if not log.is_file() or log.stat().st_size == 0:
         return path

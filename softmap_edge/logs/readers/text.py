@@ -238,7 +238,7 @@ class TextColumns:
             raise RunError(f"{self.path}: line {line} has {count} cells, expected {full}; {self._misfit(count, line)}")
 
     def _misfit(self, count: int, line: int) -> str:
-        """What to do about a line with another number of cells than there are names."""
+        """Return the remedy for a line whose number of cells differs from the number of names."""
         if line == self.first:
             return "if the table begins in another line, set skip_rows to the number of lines above its names"
         if count > len(self.names):
@@ -270,14 +270,14 @@ def open_text(
     skip_last: int,
     order: str | None = None,
 ) -> TextColumns:
-    """Find the table of a text log; what is None is found.
+    """Find the table of a text log; arguments that are None are found from the text.
 
     Args:
         path: the log.
-        delimiter: what cuts its lines.
+        delimiter: the separator of cells.
         decimal: `.` or `,`.
         header: whether a line names the columns.
-        skip_rows: lines above the table that are not looked at.
+        skip_rows: lines above the table that are skipped.
         skip_last: rows at the end that are left out.
         order: `dmy` or `mdy` of dates such as 5/7/2031; None where the rows decide.
 
@@ -316,7 +316,7 @@ def open_text(
 
 
 def _no_names(start: list[str], table: Table, skipped: int) -> str:
-    """Why no line names the columns, and the way out."""
+    """Return why no line names the columns, and the remedy."""
     row, cut = skipped + 1 + table.first, table.delimiter
     if table.clash is None and not any(line.strip() for line in start[: table.first]):
         cells = [cell for cell in split(start[table.first], cut) if cell]

@@ -1,8 +1,8 @@
-"""Reads the older CSV export of OptiTrack (Tracking Tools, ARENA): the first cell of a row names its type.
+"""Read the older CSV export of OptiTrack (Tracking Tools, ARENA): the first cell of a row names its type.
 
 A row `frame` holds index, time (s), the rigid bodies and the markers of one frame, each list after its count:
-`frame,INDEX,TIME,BODIES[,id,x,y,z,qx,qy,qz,qw,yaw,pitch,roll …],MARKERS[,x,y,z,id,name …]`. Rows have as many cells as
-were seen, so a marker that is absent from a row was not seen. Units are m. Pinned by tests/test_vendor_text.py.
+`frame,INDEX,TIME,BODIES[,id,x,y,z,qx,qy,qz,qw,yaw,pitch,roll …],MARKERS[,x,y,z,id,name …]`. A row lists only what was
+seen, so a marker that is missing from a row was not seen. Units are m. Pinned by tests/test_vendor_text.py.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""Reads text exports whose head states more than names: Qualisys TSV, Vicon Nexus CSV and LabVIEW LVM.
+"""Read text exports whose head states more than names: Qualisys TSV, Vicon Nexus CSV and LabVIEW LVM.
 
 - Qualisys: lines `KEY<tab>value`; `FREQUENCY` is the rate, `MARKER_NAMES` (or `BODY_NAMES`) name the columns, in mm.
 - Nexus: the section `Trajectories`, its rate in the line below, names over `X, Y, Z`, a line of units. Other sections
-  (devices, forces) are passed over.
+  (devices, forces) are skipped.
 - LVM: the head states separator and decimal sign; a file without X columns states `Delta_X` of its first channel.
 
 Pinned by tests/test_vendor_text.py.
@@ -126,7 +126,7 @@ def open_lvm(path: Path, header: bool | None, order: str | None) -> TextColumns 
 
 
 def _separator(lines: list[str]) -> str:
-    """What the head says cuts the lines; a tab without a word."""
+    """Return the delimiter that the head states; a tab if it states none."""
     for line in lines:
         if line.startswith("Separator"):
             word = line[len("Separator") :].strip()

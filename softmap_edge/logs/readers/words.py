@@ -1,9 +1,9 @@
-"""Cells that hold no number: words for a missing value, counted by column.
+"""Count cells that hold no number by column: words for a missing value.
 
 A column of numbers holds a word here and there: `#N/A` of a spreadsheet, `--` or `lost` of a tracker, `NULL` of a
 database. A cell counts as such a word if it holds no digit, or if it is an error that a program writes with digits
 (`#DIV/0!`, `1.#QNAN`, `nan(0x8000)`). Any other cell that is no number, such as `12mm`, is a fault of the file. So is a
-column in which words are the rule.
+column that holds mostly words.
 """
 
 from __future__ import annotations
@@ -12,11 +12,11 @@ import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
-EMPTY = {"", "nan", "na", "n/a", "null", "none", "-nan"}  # without a word to the user: they say what they are
+EMPTY = {"", "nan", "na", "n/a", "null", "none", "-nan"}  # not reported to the user: their meaning is clear
 MOSTLY = 0.5  # of the cells: a column with more words is no column of numbers
 _ERROR = re.compile(r"#.*|[+-]?1\.#[a-z]+\d*|[+-]?(nan|inf)\S*", re.IGNORECASE)
 _LONG = 20  # characters of a word that are shown
-_TOLD = 6  # words that are named
+_LISTED = 6  # words that are named
 _DISTINCT = 1000  # words that are counted one by one
 
 
@@ -45,7 +45,7 @@ class Words:
         seen[0] += 1
 
     def mostly(self, rows: int) -> tuple[int, str, int] | None:
-        """Return column, word and first line of a column in which words are the rule, if there is one."""
+        """Return column, word and first line of a column that holds mostly words, if there is one."""
         counts: dict[int, int] = {}
         for (column, _), (count, _) in self.found.items():
             counts[column] = counts.get(column, 0) + count
@@ -60,7 +60,7 @@ class Words:
             return []
         told = [
             f"{names[column]} '{word}' in {count} of {rows} rows (first in line {first})"
-            for (column, word), (count, first) in list(self.found.items())[:_TOLD]
+            for (column, word), (count, first) in list(self.found.items())[:_LISTED]
         ]
-        more = f" and {len(self.found) - _TOLD} more" if len(self.found) > _TOLD else ""
+        more = f" and {len(self.found) - _LISTED} more" if len(self.found) > _LISTED else ""
         return [f"words in columns of numbers are taken as missing: {', '.join(told)}{more}"]
