@@ -82,16 +82,21 @@ def run_folds(t_seen: Floats, labels: NDArray[Any] | None = None) -> Folds:
     return found
 
 
-def without_gap(t_seen: Floats, labels: NDArray[Any] | None = None) -> int:
-    """Return how many folds of a diagnosis have no gap next to them, because blocks are shorter than the gap.
+def without_gap(t_seen: Floats, labels: NDArray[Any] | None = None) -> tuple[int, int]:
+    """Count the folds of a diagnosis that have no gap next to them, because blocks are shorter than the gap.
 
     Args:
-        t_seen: (K,) s. labels: (K,), one for each frame.
+        t_seen: times of the frames, shape (K,), s.
+        labels: a label for each frame, shape (K,).
+
+    Returns:
+        tuple[int, int]: the number of such folds, and of all folds.
     """
     frames = len(t_seen)
     if frames < LEAST_FRAMES:
-        return 0
-    return sum(len(train) + len(test) == frames for train, test in run_folds(t_seen, labels))
+        return 0, 0
+    bare = [len(train) + len(test) == frames for train, test in run_folds(t_seen, labels)]
+    return sum(bare), len(bare)
 
 
 def labelled(labels: NDArray[Any] | None) -> bool:

@@ -131,7 +131,7 @@ REFUSED = {
     ),
     "ticks only": (
         lambda f: {k: v for k, v in f.items() if k != "command"} | {"ticks": np.rint(f["command"] * 100).astype(int)},
-        "`softmap calibrate RUN --bundle DIR --out DIR2` finds one",
+        "`softmap calibrate RUN --bundle DIR --out DIR2` calibrates a model of this robot",
     ),
     "nothing seen": (lambda f: {k: v for k, v in f.items() if k != "vertices"}, "the run holds neither"),
 }
