@@ -126,7 +126,7 @@ def _enough(frames: int) -> Word:
 def _folds(run: Run) -> Iterator[Word]:
     """Report blocks of a run that are shorter than the gap that separates held-out frames from the others."""
     count, folds = (0, 0) if run.timeless else without_gap(run.t_seen, run.block)
-    if 2 * count > folds:  # one part of several changes the held-out error by little
+    if count > 1:  # one part of several changes the held-out error by little
         text = (
             f"how far off a model is on frames of its own kind: {count} of {folds} held-out parts have no gap of "
             f"{GAP:g} s next to them, since blocks are shorter than the gap, and their error is too small"
