@@ -66,7 +66,7 @@ def path(tmp_path):
 
 
 def test_arrays_and_a_document_come_back(path):
-    found = read_in_child(path, "file", "test_in_child:answer", rows=3)
+    found = read_in_child(path, "file", "test_read_in_child:answer", rows=3)
     assert found.arrays["x"].tolist() == [[0, 1], [2, 3], [4, 5]] and found.arrays["none"].shape == (0, 3)
     assert found.document == {"text": "text"}
 
@@ -77,7 +77,7 @@ def test_a_path_is_taken_from_where_the_caller_works(path, tmp_path, monkeypatch
     found = []
     for folder in (tmp_path, tmp_path / "other"):
         monkeypatch.chdir(folder)
-        found.append(read_in_child(Path("file"), "file", "test_in_child:answer", rows=1).document["text"])
+        found.append(read_in_child(Path("file"), "file", "test_read_in_child:answer", rows=1).document["text"])
     assert found == ["text", "another"]
 
 
@@ -95,32 +95,32 @@ def test_a_path_is_taken_from_where_the_caller_works(path, tmp_path, monkeypatch
 )
 def test_whatever_a_parser_does_is_one_error_and_the_next_file_is_read(path, how, words):
     with pytest.raises(RunError) as fault:
-        read_in_child(path, "file", "test_in_child:use", how=how)
+        read_in_child(path, "file", "test_read_in_child:use", how=how)
     assert words in str(fault.value) and "\n" not in str(fault.value)
-    assert read_in_child(path, "file", "test_in_child:answer", rows=1).document == {"text": "text"}
+    assert read_in_child(path, "file", "test_read_in_child:answer", rows=1).document == {"text": "text"}
 
 
 def test_a_parser_without_end_is_stopped(path, monkeypatch):
     monkeypatch.setattr(in_child, "SECONDS", 0.5)
     started = time.monotonic()
     with pytest.raises(RunError, match="was not read within 1 s|was not read within 0 s"):
-        read_in_child(path, "file", "test_in_child:use", how="loop")
+        read_in_child(path, "file", "test_read_in_child:use", how="loop")
     assert time.monotonic() - started < 10
 
 
 def test_the_server_is_started_again_when_it_was_killed(path):
-    assert read_in_child(path, "file", "test_in_child:answer", rows=1)
+    assert read_in_child(path, "file", "test_read_in_child:answer", rows=1)
     old = in_child._servers[-1].process
     old.kill()
     old.wait()
-    assert read_in_child(path, "file", "test_in_child:answer", rows=1)
+    assert read_in_child(path, "file", "test_read_in_child:answer", rows=1)
     assert in_child._servers[-1].process.pid != old.pid
 
 
 def test_one_server_answers_several_threads(path):
     found = []
     work = [
-        threading.Thread(target=lambda: found.append(read_in_child(path, "file", "test_in_child:answer", rows=2)))
+        threading.Thread(target=lambda: found.append(read_in_child(path, "file", "test_read_in_child:answer", rows=2)))
         for _ in range(6)
     ]
     for thread in work:
@@ -131,21 +131,22 @@ def test_one_server_answers_several_threads(path):
 
 
 def test_a_forked_process_has_a_server_of_its_own(path):
-    read_in_child(path, "file", "test_in_child:answer", rows=1)
+    read_in_child(path, "file", "test_read_in_child:answer", rows=1)
     child = os.fork()
     if child == 0:
         code = 1
         try:
-            code = 0 if read_in_child(path, "file", "test_in_child:answer", rows=4).arrays["x"].shape == (4, 2) else 2
+            found = read_in_child(path, "file", "test_read_in_child:answer", rows=4)
+            code = 0 if found.arrays["x"].shape == (4, 2) else 2
             in_child._servers[-1].close()
         finally:
             os._exit(code)
     assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
-    assert read_in_child(path, "file", "test_in_child:answer", rows=1)
+    assert read_in_child(path, "file", "test_read_in_child:answer", rows=1)
 
 
 def test_the_child_opens_little_and_leaves_no_core(path):
-    document = read_in_child(path, "file", "test_in_child:limits").document
+    document = read_in_child(path, "file", "test_read_in_child:limits").document
     assert document["core"] == 0 and document["fds"] < 12 and document["file"] <= 8 * in_child.MOST + 2**26
 
 
@@ -153,7 +154,7 @@ def test_the_server_ends_with_its_parent(path):
     script = (
         "import sys; sys.path[:0] = [sys.argv[2]]\n"
         "from pathlib import Path\nfrom softmap_edge.logs.readers import in_child\n"
-        "in_child.read_in_child(Path(sys.argv[1]), 'file', 'test_in_child:answer', rows=1)\n"
+        "in_child.read_in_child(Path(sys.argv[1]), 'file', 'test_read_in_child:answer', rows=1)\n"
         "print(in_child._servers[-1].process.pid, flush=True)\n"
     )
     for end in ("", "import os, signal; os.kill(os.getpid(), signal.SIGKILL)\n"):
@@ -176,7 +177,7 @@ def test_a_module_in_the_working_folder_is_not_imported(path, tmp_path):
     script = (
         "import sys; sys.path.append(sys.argv[2])\n"
         "from pathlib import Path\nfrom softmap_edge.logs.readers import in_child\n"
-        "in_child.read_in_child(Path(sys.argv[1]), 'file', 'test_in_child:answer', rows=1)\n"
+        "in_child.read_in_child(Path(sys.argv[1]), 'file', 'test_read_in_child:answer', rows=1)\n"
     )
     script = script.replace("in_child.read", "sys.path[:0] = ['']  # as in a session\nin_child.read")
     argv = [sys.executable, "-P", "-c", script, str(path), str(HERE)]

@@ -5,6 +5,15 @@ from remedies import commands, fault, faults, named_in
 from remedy_cases import CASES
 
 from softmap_edge.cli import main
+from softmap_edge.own_effect import forget_effect, loaded
+
+
+@pytest.fixture(autouse=True)
+def forgotten():
+    """Forget the effects that a remedy loads: other tests go through all effects that there are."""
+    yield
+    for name in list(loaded()):
+        forget_effect(name)
 
 
 def test_every_command_that_a_text_names_is_taken_by_the_parser():
@@ -25,7 +34,7 @@ def test_the_list_holds_the_commands_of_messages():
         ("use `softmap wobble RUN`", "no command 'wobble'"),
         ("use `softmap diagnose RUN --seed 3`", "no option --seed"),
         ("use `softmap servo scna`", "no action 'scna'"),
-        ("use `softmap servo scan --rig FILE`", "no option --rig"),
+        ("use `softmap servo scan --rigs FILE`", "no option --rigs"),
         ("use `softmap calibrate RUN RUN2 --out DIR`", "unrecognized"),
         ("use `softmap learn RUN --input gaol`", "invalid choice"),
         ("use `softmap\n   learn RUN --hold_out 1:2`", "no option --hold_out"),

@@ -186,8 +186,10 @@ def hardware(bits: int) -> str:
 
 def restart(found: Found) -> str:
     """Return the remedy for a hardware error."""
-    where = f"--port {shlex.quote(found.port)} --baud {found.baud} --id {found.id}"
-    return f"find the cause, then run `softmap servo reboot {where}` (or switch its supply off and on)"
+    return (
+        f"find the cause, then run `softmap servo reboot --port {shlex.quote(found.port)} --baud {found.baud} "
+        f"--id {found.id}` (or switch its supply off and on)"
+    )
 
 
 def setup_command(port: str, baud: int, id: int, more: str = "") -> str:

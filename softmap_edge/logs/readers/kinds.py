@@ -16,14 +16,13 @@ from softmap_edge.logs.readers.packed import GZIP, ZSTD
 from softmap_edge.logs.readers.rosbag_sqlite import MAGIC as SQLITE
 from softmap_edge.logs.readers.typed_rows import is_typed
 from softmap_edge.logs.readers.vendor_text import is_lvm, is_nexus, is_qtm
+from softmap_edge.npz import check_directory
 
 RECORDINGS = ("mcap", "db3")  # several topics, stamped with the time of recording
 ARRAYS = ("npz", "npy", "mat", "hdf5", "parquet")
 PACKED = ("zstd", "gzip")
 HDF5 = b"\x89HDF\r\n\x1a\n"
 _HEAD = 4096  # bytes of a file that are tested
-_TAIL = 2**16 + 300  # bytes at the end of an archive that may hold its last record
-_CONTENTS = 2**20  # bytes of an archive's table of contents
 _SURE = 8  # letters with which a text hardly begins
 _READ: tuple[tuple[bytes, str], ...] = (
     (MAGIC, "mcap"),
@@ -136,7 +135,7 @@ def _checked_mcap(path: Path, start: bytes) -> str:
 def _of_zip(path: Path) -> str:
     """Return `npz`; raise RunError for another kind of archive."""
     try:
-        check_contents(path)
+        check_directory(path, RunError)
         with zipfile.ZipFile(path) as archive:
             names = archive.namelist()[:1000]
     except RunError:
@@ -154,23 +153,6 @@ def _of_zip(path: Path) -> str:
     if path.suffix.lower() == ".npz":
         return "npz"
     raise _not_read(path, f"a zip archive: {_PACK}")
-
-
-def check_contents(path: Path) -> None:
-    """Refuse an archive whose table of contents is too large, before `zipfile` takes memory for each entry.
-
-    Raises:
-        RunError: it is too large.
-    """
-    with path.open("rb") as file:
-        file.seek(max(0, file.seek(0, 2) - _TAIL))
-        tail = file.read()
-    at = tail.rfind(b"PK\5\6")
-    size = int.from_bytes(tail[at + 12 : at + 16], "little") if at >= 0 else 0
-    if size > _CONTENTS or b"PK\6\6" in tail[max(0, at - 200) : at]:
-        raise RunError(
-            f"{path}: an archive of too many entries or bytes to be a log; unpack it and give the log inside"
-        )
 
 
 def _refuse_calibration(path: Path, text: str) -> None:
