@@ -300,7 +300,7 @@ def test_a_robot_is_learned_from_the_ticks_of_its_servos(truth, tmp_path, capsys
     assert main(["import", log, "--map", mapping, "--out", npz]) == 0
     assert main(["learn", npz, "--out", bundle]) == 0
     run, model = Run.load(npz), load_bundle(bundle)
-    assert run.command is None and model.command_unit == "ticks"
+    assert run.command is not None and model.command_unit == "ticks"
     # The proposal guesses the clamp, and chords from another point have angles that are no polynomials.
     assert np.sqrt(((model.predict(run) - run.markers) ** 2).sum(-1).mean()) < 0.3
     assert main(["compare", npz, "--bundle", bundle]) == 0
