@@ -6,19 +6,6 @@ import sqlite3
 import numpy as np
 from recordings import JOINT_STATE, POSES, robot_messages
 
-START = 1_700_000_000.0
-MAP = """schema = "softmap.mapping/1"
-command_unit = "rad"
-zero_time = true
-[[log]]
-topic = "/goal"
-time = { column = "time" }
-command = { columns = ["position[left]", "position[right]"], unit = "rad" }
-[[log]]
-topic = "/poses"
-time = { column = "time" }
-markers = { unit = "m", columns = [["poses[2].position.x", "poses[2].position.y", "poses[2].position.z"]] }
-"""
 ARRAYS = """schema = "softmap.mapping/1"
 [[log]]
 time = { column = "t" }

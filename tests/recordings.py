@@ -10,6 +10,19 @@ _EQUALS = "=" * 80
 STAMP = "MSG: std_msgs/Header\nbuiltin_interfaces/Time stamp\nstring frame_id\n"
 VECTOR = "float64 x\nfloat64 y\nfloat64 z\n"
 QUATERNION = VECTOR + "float64 w\n"
+BAG_START = 1_700_000_000.0  # s since 1970
+BAG_MAP = """schema = "softmap.mapping/1"
+command_unit = "rad"
+zero_time = true
+[[log]]
+topic = "/goal"
+time = { column = "time" }
+command = { columns = ["position[left]", "position[right]"], unit = "rad" }
+[[log]]
+topic = "/poses"
+time = { column = "time" }
+markers = { unit = "m", columns = [["poses[2].position.x", "poses[2].position.y", "poses[2].position.z"]] }
+"""
 JOINT_STATE = (
     "sensor_msgs/msg/JointState",
     "# the state of joints\nstd_msgs/Header header\nstring[] name\nfloat64[] position\nfloat64[] velocity\n"

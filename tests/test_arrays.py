@@ -149,12 +149,12 @@ def test_signals_of_other_lengths_are_logs_of_their_own(tmp_path):
 
 class Canary:
     def __reduce__(self):
-        return (open, (str(Path("/tmp/softmap_canary_of_tests")), "w"))
+        return (open, ("canary", "w"))
 
 
-def test_objects_are_left_out_and_never_unpickled(tmp_path):
-    canary = Path("/tmp/softmap_canary_of_tests")
-    canary.unlink(missing_ok=True)
+def test_objects_are_left_out_and_never_unpickled(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    canary = tmp_path / "canary"
     odd = np.array([Canary(), None], dtype=object)
     path = npz(tmp_path / "a.npz", arrays() | {"who": odd, "fs": np.array(20.0)})
     canary.unlink(missing_ok=True)

@@ -3,13 +3,16 @@
 import gzip
 import re
 import sqlite3
+import tempfile
 import time
 from pathlib import Path
 
 import numpy as np
 import pytest
 import zstandard
-from containers import MAP, START, messages, write_db3, write_folder
+from containers import messages, write_db3, write_folder
+from recordings import BAG_MAP as MAP
+from recordings import BAG_START as START
 from recordings import JOINT_STATE, joint_state, write_mcap
 
 from softmap_edge.errors import RunError
@@ -363,12 +366,10 @@ def test_damage_and_cuts_of_a_packed_log_are_found(tmp_path, name):
     for data in (sound[:-10], sound[:-2] + bytes([sound[-2] ^ 1]) + sound[-1:], sound[:40] + b"\xff" * 20 + sound[60:]):
         (tmp_path / name).write_bytes(data)
         message = refused([tmp_path / name], CSV_MAP)
-        assert "/tmp/softmap-" not in message and name in message, message
+        assert tempfile.gettempdir() + "/softmap-" not in message and name in message, message
 
 
 def test_a_packed_file_that_grows_without_end_is_stopped(tmp_path, monkeypatch):
-    import tempfile
-
     from softmap_edge.logs.readers import packed
 
     monkeypatch.setattr(packed, "LIMIT", 2**22)

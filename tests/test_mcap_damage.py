@@ -14,6 +14,8 @@ from mcap.reader import make_reader
 from mcap.writer import CompressionType
 from mcap_ros2._dynamic import serialize_dynamic
 from mcap_ros2.writer import Writer
+from recordings import BAG_MAP as MAP
+from recordings import BAG_START as START
 from recordings import JOINT_STATE, joint_state, robot_messages, write_mcap
 
 from softmap_edge.cli import main
@@ -21,20 +23,6 @@ from softmap_edge.errors import RecordingWarning, RunError
 from softmap_edge.logs.importer import import_logs, read_mapping
 from softmap_edge.logs.readers.mcap_file import open_mcap, topics
 from softmap_edge.mcap_records import CHUNK, MAGIC, MESSAGE_INDEX, Walk, read_closing
-
-MAP = """schema = "softmap.mapping/1"
-command_unit = "rad"
-zero_time = true
-[[log]]
-topic = "/goal"
-time = { column = "time" }
-command = { columns = ["position[left]", "position[right]"], unit = "rad" }
-[[log]]
-topic = "/poses"
-time = { column = "time" }
-markers = { unit = "m", columns = [["poses[2].position.x", "poses[2].position.y", "poses[2].position.z"]] }
-"""
-START = 1_700_000_000.0
 
 
 def bag(folder, compression="zstd", frames=600, name="run.mcap"):

@@ -6,8 +6,9 @@ As test_mutated_logs.py; each format is one line of FORMATS. Foreign parsers run
 import gzip
 
 import pytest
-from containers import ARRAYS, MAP, arrays, messages, write_dataset, write_db3, write_folder, write_mat73
+from containers import ARRAYS, arrays, messages, write_dataset, write_db3, write_folder, write_mat73
 from damage import Format, assert_10000, assert_some, run_all, spoil_bytes, spoil_npz_file, spoil_text
+from recordings import BAG_MAP as MAP
 from recordings import write_mcap
 from test_mutated_logs import LOG, spoil_binary, spoil_counts
 

@@ -13,18 +13,14 @@ import warnings
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from softmap_edge.errors import RecordingWarning, RunError
 from softmap_edge.logs.readers.cdr import CdrError, Types, parse_definition, read_message
-from softmap_edge.logs.readers.columns import Array, HeldColumns
+from softmap_edge.logs.readers.columns import HeldColumns
 from softmap_edge.logs.readers.mcap_messages import Messages
+from softmap_edge.logs.readers.messages import MessageRows
 from softmap_edge.mcap_records import MAGIC
 
 __all__ = ["MAGIC", "Topic", "open_mcap", "topics"]
-
-_NUMBERS = 2**27  # numbers of one topic: 1 GiB
 
 
 @dataclasses.dataclass(frozen=True)
@@ -74,9 +70,7 @@ def open_mcap(path: Path, topic: str | None, most: int | None = None) -> HeldCol
             raise RunError(f'{path}: holds {len(found)} topics ({named}); name one in the mapping: topic = "…"')
         topic = found[0].name
     messages = Messages(path)
-    index: dict[str, int] = {}  # column → place
-    shapes: dict[tuple[str, ...], NDArray[np.int64]] = {}  # names of a message → the places of its numbers
-    rows: list[tuple[NDArray[np.int64], Array]] = []
+    rows = MessageRows(path, topic)
     known: dict[int, tuple[str, Types]] = {}
     seen: set[str] = set()
     for channel, schema, message in messages:
@@ -89,34 +83,21 @@ def open_mcap(path: Path, topic: str | None, most: int | None = None) -> HeldCol
             numbers = read_message(*known[channel.id], message.data)
         except CdrError as fault:
             raise RunError(
-                f"{path}: topic {topic[:60]}, message {len(rows) + 1}: {fault}; the file is damaged"
+                f"{path}: topic {topic[:60]}, message {len(rows.rows) + 1}: {fault}; the file is damaged"
             ) from None
-        logged = 1e-9 * message.log_time
-        stamp = numbers.get("header.stamp", 0.0)
-        numbers = {"time": 0.0} | numbers | {"time": stamp or logged, "log_time": logged}
-        names = tuple(numbers)
-        if names not in shapes:
-            shapes[names] = np.array([index.setdefault(name, len(index)) for name in names])
-        rows.append((shapes[names], np.array(list(numbers.values()))))
-        if (len(rows) + 1) * len(index) > _NUMBERS:
-            raise RunError(f"{path}: topic {topic[:60]} holds more than {_NUMBERS} numbers; cut the recording")
-        if most is not None and len(rows) >= most:
+        rows.add(numbers, 1e-9 * message.log_time)
+        if most is not None and len(rows.rows) >= most:
             break
     notes = list[str](messages.account.remarks)
     if most is None and (damage := messages.account.damage) is not None:
         notes.insert(0, damage)
-        if not rows:
+        if not rows.rows:
             raise RunError(f"{damage}; nothing of topic {topic[:60]} is left")
         warnings.warn(RecordingWarning(damage), stacklevel=2)
-    if not rows:
+    if not rows.rows:
         listed = ", ".join(sorted(seen))[:200] or "none"
         raise RunError(f"{path}: no message of topic {topic[:60]}; there are {listed}; change `topic` in the mapping")
-    table = np.full((len(rows), len(index)), np.nan)
-    for k, (places, values) in enumerate(rows):
-        table[k, places] = values
-    if len(np.unique(table[:, 0])) == 1 < len(table):  # stamps that nobody set
-        table[:, 0] = table[:, index["log_time"]]
-    return HeldColumns(path, list(index), table, where="message", notes=tuple(notes))
+    return rows.columns(tuple(notes))
 
 
 def _definition(path: Path, channel: Any, schema: Any) -> tuple[str, Types]:
