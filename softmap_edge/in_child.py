@@ -1,21 +1,21 @@
-"""Run a foreign parser on an untrusted file in a child process with a limit on its memory and its time.
+"""Run a foreign parser on an untrusted file in a child process with limits on its memory and its time.
 
     arrays = in_child(parse, path, megabytes=1000, seconds=60)
 
-The child is forked, so it starts in milliseconds and needs no import. It cannot write to any file, and its output is
-dropped. Its result comes back as JSON and raw arrays: no pickle is read. If it crashes, hangs or takes more memory than
-allowed, only the child ends. Pinned by tests/test_in_child.py.
+The child is forked, so it starts in milliseconds and needs no import. It cannot write to any file, its output is
+dropped, and its answer comes back as JSON and raw numbers: no pickle is read. If it crashes, hangs or takes more
+memory than allowed, only the child ends. Pinned by tests/test_in_child.py.
 """
 
 from __future__ import annotations
 
 import faulthandler
-import io
 import json
 import os
 import resource
 import select
 import signal
+import sys
 import time
 import warnings
 from collections.abc import Callable
@@ -27,28 +27,41 @@ from softmap_edge import errors
 from softmap_edge.errors import SoftmapError, brief
 
 PAGE = 1 << 16  # bytes read at a time from the child
+PATIENCE = 4.0  # real time for each second of processor time: the computer may be busy
+_ALIGNED = 64  # bytes: each array begins at a multiple of it
 _PAGE_SIZE = os.sysconf("SC_PAGE_SIZE")
 
 
 class ChildFault(SoftmapError):
-    """The child raised another library's exception, crashed, or exceeded a limit; the message states which."""
+    """The child raised another library's exception, crashed, or met a limit; the message says which."""
+
+
+class ChildMemory(ChildFault):
+    """The child needs more memory than it may take."""
+
+
+class ChildLate(ChildFault):
+    """The child takes longer than it may."""
 
 
 def in_child(function: Callable[..., Any], *args: Any, megabytes: int = 1000, seconds: float = 60.0) -> Any:
-    """Call `function(*args)` in a forked child and return its result.
+    """Return `function(*args)` as a forked child found it.
 
     Args:
-        function: returns arrays of numbers or text, numbers, text or None, or lists or dicts (by text) of them.
+        function: returns arrays of numbers or text, numbers, strings, None, and lists or dicts (with text keys) of
+            them.
         args: its arguments.
         megabytes: memory that the child may take beyond that of this process, and size of the answer.
-        seconds: time that it may take.
+        seconds: processor time that it may take; a busy computer gets `PATIENCE` times as long.
 
     Returns:
         Any: what the function returned.
 
     Raises:
         SoftmapError: the function raised an error of this package; it is raised again with its class and message.
-        ChildFault: it raised anything else, crashed, or met a limit.
+        ChildMemory: it needs more memory.
+        ChildLate: it takes longer, or its answer is too large.
+        ChildFault: it raised anything else, or crashed.
     """
     ours, theirs = os.pipe()
     with warnings.catch_warnings():
@@ -59,7 +72,7 @@ def in_child(function: Callable[..., Any], *args: Any, megabytes: int = 1000, se
         _be_child(theirs, function, args, megabytes, seconds)
     os.close(theirs)
     try:
-        content = _read(ours, megabytes << 20, time.monotonic() + seconds)
+        content = _read(ours, megabytes << 20, time.monotonic() + PATIENCE * seconds)
     finally:
         os.close(ours)
         os.kill(pid, signal.SIGKILL)  # it is done, or it is too late
@@ -67,31 +80,33 @@ def in_child(function: Callable[..., Any], *args: Any, megabytes: int = 1000, se
     return _answer(content, status, megabytes, seconds)
 
 
-def _read(pipe: int, most: int, deadline: float) -> bytes | None:
-    """Return all bytes from a pipe; None if it does not end in time or exceeds `most` bytes."""
+def _read(pipe: int, most: int, deadline: float) -> bytearray | None:
+    """Return all that comes through a pipe, or None if it does not end in time or is too much."""
     content = bytearray()
     while (left := deadline - time.monotonic()) > 0.0 and len(content) <= most:
         if select.select([pipe], [], [], left)[0]:
             part = os.read(pipe, PAGE)
             if not part:
-                return bytes(content)
+                return content
             content += part
     return None
 
 
-def _answer(content: bytes | None, status: int, megabytes: int, seconds: float) -> Any:
-    if content is None:
-        raise ChildFault(f"takes longer than {seconds:g} s, or gives more than {megabytes} MB")
+def _answer(content: bytearray | None, status: int, megabytes: int, seconds: float) -> Any:
+    if content is None or (os.WIFSIGNALED(status) and os.WTERMSIG(status) == signal.SIGXCPU):
+        raise ChildLate(f"takes longer than {seconds:g} s, or gives more than {megabytes} MB")
     if not content:
         how = f"signal {os.WTERMSIG(status)}" if os.WIFSIGNALED(status) else f"exit {os.waitstatus_to_exitcode(status)}"
         raise ChildFault(f"the parser crashed ({how})")
-    stream = io.BytesIO(content)
+    end = content.find(b"\n") + 1
     try:
-        kind, value = json.loads(stream.readline())
-    except ValueError:
+        kind, value = json.loads(content[:end])
+        if kind == "answer":
+            return _Reader(memoryview(content)[end:]).value(value)
+    except (ValueError, TypeError, KeyError):
         raise ChildFault("the parser crashed while it answered") from None
-    if kind == "answer":
-        return _unpacked(value, stream)
+    if kind == "memory":
+        raise ChildMemory(value)
     raised = getattr(errors, kind, None)
     raise (raised if isinstance(raised, type) and issubclass(raised, SoftmapError) else ChildFault)(value)
 
@@ -100,9 +115,12 @@ def _answer(content: bytes | None, status: int, megabytes: int, seconds: float) 
 def _be_child(pipe: int, function: Callable[..., Any], args: tuple[Any, ...], megabytes: int, seconds: float) -> None:
     """Run the function under limits, write its answer, and end at once; never returns."""
     try:
+        sys.path[:] = [folder for folder in sys.path if folder]  # a module next to the file is not imported
+        faulthandler.disable()  # its report would go where the caller's goes
         _limit(megabytes, seconds)
-        _silence()
-        _write(pipe, _result(function, args, megabytes))
+        _isolate(pipe)
+        for part in _result(function, args, megabytes):
+            _write(pipe, part)
     finally:
         os._exit(0)
 
@@ -110,57 +128,69 @@ def _be_child(pipe: int, function: Callable[..., Any], args: tuple[Any, ...], me
 def _limit(megabytes: int, seconds: float) -> None:
     with open("/proc/self/statm", encoding="ascii") as file:
         taken = int(file.read().split()[0]) * _PAGE_SIZE
-    faulthandler.disable()  # its report would go where the caller's goes
     limits = {
         resource.RLIMIT_AS: taken + (megabytes << 20),
-        resource.RLIMIT_CPU: int(seconds) + 2,
+        resource.RLIMIT_CPU: int(seconds) + 1,
         resource.RLIMIT_FSIZE: 0,
         resource.RLIMIT_CORE: 0,
     }
     for which, most in limits.items():
         hard = resource.getrlimit(which)[1]
         most = most if hard == resource.RLIM_INFINITY else min(most, hard)
-        resource.setrlimit(which, (most, most))
-    for number in (signal.SIGALRM, signal.SIGTERM):  # handlers of this process are not the child's
+        # The hard limit of time would be SIGKILL, which does not say why.
+        resource.setrlimit(which, (most, hard if which == resource.RLIMIT_CPU else most))
+    for number in (signal.SIGALRM, signal.SIGTERM, signal.SIGXCPU):  # handlers of this process are not the child's
         signal.signal(number, signal.SIG_DFL)
     signal.signal(signal.SIGXFSZ, signal.SIG_IGN)  # a write to a file fails, and a library may go on without it
     signal.setitimer(signal.ITIMER_REAL, 0)
 
 
-def _silence() -> None:
-    nowhere = os.open(os.devnull, os.O_RDWR)
+def _isolate(pipe: int) -> None:
+    """Close whatever this process has open (ports, sockets, files) but the pipe; drop output."""
+    most = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
+    os.closerange(0, pipe)
+    os.closerange(pipe + 1, most)
     for stream in range(3):
-        os.dup2(nowhere, stream)
+        os.dup2(os.open(os.devnull, os.O_RDWR), stream)
+    sys.stdout = sys.stderr = open(os.devnull, "w")  # noqa: SIM115
 
 
-def _result(function: Callable[..., Any], args: tuple[Any, ...], megabytes: int) -> bytes:
+def _result(function: Callable[..., Any], args: tuple[Any, ...], megabytes: int) -> list[memoryview]:
+    """Return the answer in parts: a line of JSON, and the arrays of which it says the type and shape."""
+    arrays: list[memoryview] = []
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            arrays: list[bytes] = []
-            document = _packed(function(*args), arrays)
-            return b"".join([json.dumps(["answer", document]).encode() + b"\n", *arrays])
+            return [_line(["answer", _packed(function(*args), arrays)]), *arrays]
     except SoftmapError as fault:
-        return json.dumps([type(fault).__name__, str(fault)]).encode() + b"\n"
+        return [_line([type(fault).__name__, str(fault)])]
     except MemoryError:
-        return json.dumps(["", f"needs more than {megabytes} MB of memory"]).encode() + b"\n"
+        return [_line(["memory", f"needs more than {megabytes} MB of memory"])]
     except BaseException as fault:  # a parser may raise anything, SystemExit included
-        return json.dumps(["", f"{type(fault).__name__}: {brief(fault)}"]).encode() + b"\n"
+        text = f"{type(fault).__name__}: {brief(fault)}"
+        short = "memory" in text.lower() or "allocate" in text.lower()  # as C libraries report it
+        return [_line(["memory", f"needs more than {megabytes} MB of memory"] if short else ["", text])]
 
 
-def _write(pipe: int, content: bytes) -> None:
-    view = memoryview(content)
-    while view:
-        view = view[os.write(pipe, view) :]
+def _line(document: Any) -> memoryview:
+    text = json.dumps(document).encode()
+    return memoryview(text + b" " * (-(len(text) + 1) % _ALIGNED) + b"\n")
 
 
-def _packed(value: Any, arrays: list[bytes]) -> Any:
-    """Return a value as JSON holds it; arrays go to `arrays`, and their places are marked."""
+def _write(pipe: int, part: memoryview) -> None:
+    while part:
+        part = part[os.write(pipe, part[: 1 << 20]) :]
+
+
+def _packed(value: Any, arrays: list[memoryview]) -> Any:
+    """Return a value as JSON holds it; the bytes of arrays go to `arrays`, each filled up to `_ALIGNED`."""
     if isinstance(value, np.ndarray):
-        stream = io.BytesIO()
-        np.lib.format.write_array(stream, value, allow_pickle=False)
-        arrays.append(stream.getvalue())
-        return {"array": len(arrays) - 1}
+        if value.dtype.hasobject or value.dtype.names:
+            raise ValueError(f"an array of {value.dtype}")
+        flat = np.ascontiguousarray(value).reshape(-1)
+        if flat.nbytes:
+            arrays += [flat.view(np.uint8).data, memoryview(bytes(-flat.nbytes % _ALIGNED))]
+        return {"array": [value.dtype.str, list(value.shape)]}
     if isinstance(value, dict):
         return {"dict": [[str(key), _packed(item, arrays)] for key, item in value.items()]}
     if isinstance(value, list | tuple):
@@ -169,12 +199,26 @@ def _packed(value: Any, arrays: list[bytes]) -> Any:
 
 
 # --- in the parent again -------------------------------------------------------------------
-def _unpacked(document: Any, stream: io.BytesIO) -> Any:
-    """Return the value of a document; its arrays follow one another in `stream`, in the order of the document."""
-    if not isinstance(document, dict):
-        return document
-    if "array" in document:
-        return np.lib.format.read_array(stream, allow_pickle=False)
-    if "dict" in document:
-        return {key: _unpacked(item, stream) for key, item in document["dict"]}
-    return [_unpacked(item, stream) for item in document["list"]]
+class _Reader:
+    """Reads the value of a document; its arrays follow one another in `content`, in the order of the document."""
+
+    def __init__(self, content: memoryview) -> None:
+        self.content, self.at = content, 0
+
+    def value(self, document: Any) -> Any:
+        """Return the value that a part of the document stands for; ValueError where it does not fit the content."""
+        if not isinstance(document, dict):
+            return document
+        if "array" in document:
+            return self._array(*document["array"])
+        if "dict" in document:
+            return {key: self.value(item) for key, item in document["dict"]}
+        return [self.value(item) for item in document["list"]]
+
+    def _array(self, kind: str, shape: list[int]) -> Any:
+        dtype, count = np.dtype(kind), int(np.prod(shape, dtype=object))
+        if dtype.hasobject:
+            raise ValueError(f"an array of {dtype}")
+        found = np.frombuffer(self.content, dtype, count, self.at) if count * dtype.itemsize else np.zeros(count, dtype)
+        self.at += -(-count * dtype.itemsize // _ALIGNED) * _ALIGNED
+        return found.reshape(shape)

@@ -16,7 +16,6 @@ from recordings import places, write_c3d, write_mcap, write_motive, write_trc
 
 from softmap_edge.errors import RunError
 from softmap_edge.logs.guess import guess_mapping
-from softmap_edge.logs.readers import in_child
 from softmap_edge.logs.readers.kinds import _FOREIGN, kind_of
 
 
@@ -161,10 +160,10 @@ def test_a_parser_that_is_not_installed_is_named_with_its_extra(tmp_path, monkey
     (tmp_path / "without").mkdir()
     (tmp_path / f"without/{package}.py").write_text("raise ImportError")
     monkeypatch.setattr(sys, "path", [str(tmp_path / "without"), *sys.path])
-    monkeypatch.setattr(in_child, "_servers", [])
+    for name in [name for name in sys.modules if name.split(".")[0] == package]:
+        monkeypatch.delitem(sys.modules, name)
     with pytest.raises(RunError, match=rf"{words}; run pip install 'softmap-edge\[logs\]'"):
         guess_mapping([path])
-    in_child._servers[-1].close()
 
 
 def test_zstd_that_is_not_installed_is_named_with_its_extra(tmp_path, monkeypatch):

@@ -23,7 +23,8 @@ _MOST_BYTES = 64 << 20  # of a mesh file; 60 000 tetrahedra take 4 MB
 _MOST_TEXT = 1 << 20  # of a file of guides
 _FARTHEST = 1e9  # of any unit: beyond any finger, and far from where float64 overflows
 _KINDS = {"vtk": "legacy VTK", "vtu": "VTU", "msh": "Gmsh's MSH"}
-_MEGABYTES, _SECONDS = 800, 60.0  # of the child that parses
+_MEGABYTES = 800  # of the child that parses
+_SECONDS, _PER_SECOND = 2.5, 1 << 20  # of its processor time for a small file, and bytes that it parses in a second
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,7 +119,8 @@ def _parsed(path: Path) -> dict[str, Any]:
             f"{path}: {error}; meshes are read as VTK (.vtk, .vtu) or Gmsh (.msh): save it as one of them"
         ) from None
     try:
-        parsed: dict[str, Any] = in_child(parse, str(path), kind, megabytes=_MEGABYTES, seconds=_SECONDS)
+        seconds = _SECONDS + path.stat().st_size / _PER_SECOND
+        parsed: dict[str, Any] = in_child(parse, str(path), kind, megabytes=_MEGABYTES, seconds=seconds)
     except ChildFault as error:
         raise FingerError(f"{path}: cannot be read as {_KINDS[kind]} ({brief(error)}); export it again") from None
     return parsed

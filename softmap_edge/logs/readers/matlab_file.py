@@ -9,6 +9,7 @@ those of HDF5 where the file has them.
 from __future__ import annotations
 
 import warnings
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -26,21 +27,13 @@ _STRUCTS = 256  # elements of an array of structs
 _EXPORT = "save its numbers as arrays (for a timetable: t = seconds(tt.Time); u = tt.u;)"
 
 
-def preload() -> None:
-    """Import the readers of these files, once for all of them."""
-    import h5py
-    import scipy.io
-
-    assert h5py and scipy.io
-
-
 def open_matlab(path: Path) -> ArrayColumns:
     """Read a MATLAB file of v4 to v7.
 
     Raises:
         RunError: scipy is not installed, the file is damaged or too large, or nothing in it is a column of numbers.
     """
-    return _opened(path, "MATLAB file", "read_v7")
+    return _opened(path, "MATLAB file", read_v7)
 
 
 def open_hdf5(path: Path) -> ArrayColumns:
@@ -49,13 +42,13 @@ def open_hdf5(path: Path) -> ArrayColumns:
     Raises:
         RunError: h5py is not installed, the file is damaged or too large, or nothing in it is a column of numbers.
     """
-    return _opened(path, "HDF5 file", "read_hdf5")
+    return _opened(path, "HDF5 file", read_hdf5)
 
 
-def _opened(path: Path, what: str, function: str) -> ArrayColumns:
+def _opened(path: Path, what: str, parse: Callable[[Path], Answer]) -> ArrayColumns:
     if path.stat().st_size > LIMIT:
         raise RunError(f"{path}: {path.stat().st_size} bytes, at most {LIMIT} are read; split the log")
-    answer = read_in_child(path, what, f"{__name__}:{function}")
+    answer = read_in_child(path, what, parse)
     left_out = [str(entry) for entry in answer.document["left_out"]]
     try:
         return columns_of_arrays(path, answer.arrays, answer.document["texts"], left_out=left_out)

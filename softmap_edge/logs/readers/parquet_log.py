@@ -24,13 +24,6 @@ _BATCH = 2**14  # rows at a time
 _SHOWN = 3  # episodes that a message lists
 
 
-def preload() -> None:
-    """Import the readers of these files, once for all of them."""
-    import pyarrow.parquet
-
-    assert pyarrow.parquet
-
-
 def open_parquet(path: Path, episode: int | None = None, first: bool = False) -> ArrayColumns:
     """Read a Parquet file.
 
@@ -44,8 +37,7 @@ def open_parquet(path: Path, episode: int | None = None, first: bool = False) ->
     """
     if path.stat().st_size > LIMIT:
         raise RunError(f"{path}: {path.stat().st_size} bytes, at most {LIMIT} are read; split the log")
-    arguments = {"episode": episode, "first": first}
-    answer = read_in_child(path, "Parquet file", f"{__name__}:read_parquet", **arguments)
+    answer = read_in_child(path, "Parquet file", read_parquet, episode=episode, first=first)
     info = info_near(path)
     document = answer.document
     notes = [str(note) for note in document["notes"]]
@@ -68,7 +60,7 @@ def episodes_in(path: Path) -> tuple[int, int] | None:
     Raises:
         RunError: as `open_parquet`.
     """
-    found = read_in_child(path, "Parquet file", f"{__name__}:read_episodes").document["episodes"]
+    found = read_in_child(path, "Parquet file", read_episodes).document["episodes"]
     return None if found is None else (int(found[0]), int(found[1]))
 
 
