@@ -266,7 +266,7 @@ def _chunk_fits(body: bytes, length: int) -> bool:
     return len(body) == length
 
 
-def _texts_fit(body: bytes, length: int, at: int, texts: int) -> int:
+def _after_texts(body: bytes, at: int, texts: int) -> int:
     """Return the position after `texts` strings that begin at `at`."""
     for _ in range(texts):
         at += 4 + int(struct.unpack_from("<I", body, at)[0])
@@ -274,19 +274,19 @@ def _texts_fit(body: bytes, length: int, at: int, texts: int) -> int:
 
 
 def _attachment_fits(body: bytes, length: int) -> bool:
-    at = _texts_fit(body, length, 16, 2)
+    at = _after_texts(body, 16, 2)
     return at + 8 + int(struct.unpack_from("<Q", body, at)[0]) + 4 == length
 
 
 _FITS: dict[int, Callable[[bytes, int], bool]] = {
-    HEADER: lambda body, length: _texts_fit(body, length, 0, 2) == length,
+    HEADER: lambda body, length: _after_texts(body, 0, 2) == length,
     FOOTER: lambda body, length: length == 20,
-    SCHEMA: lambda body, length: _texts_fit(body, length, 2, 3) <= length,
-    CHANNEL: lambda body, length: _texts_fit(body, length, 4, 3) <= length,
+    SCHEMA: lambda body, length: _after_texts(body, 2, 3) <= length,
+    CHANNEL: lambda body, length: _after_texts(body, 4, 3) <= length,
     MESSAGE: lambda body, length: 22 <= length == len(body),
     CHUNK: _chunk_fits,
-    MESSAGE_INDEX: lambda body, length: _texts_fit(body, length, 2, 1) == length,
+    MESSAGE_INDEX: lambda body, length: _after_texts(body, 2, 1) == length,
     ATTACHMENT: _attachment_fits,
-    METADATA: lambda body, length: _texts_fit(body, length, 0, 2) == length,
+    METADATA: lambda body, length: _after_texts(body, 0, 2) == length,
     DATA_END: lambda body, length: length == 4,
 }

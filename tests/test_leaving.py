@@ -11,7 +11,7 @@ from softmap_edge.servo.controller import Controller
 def test_a_finger_that_does_not_come_home_at_the_end_is_told():
     with bench() as (bus, rig, limits):
         limits["servos"] = [one | {"following": 300.0} for one in limits["servos"]]
-        told = pytest.raises(ServoError, match=r"in state fault \(servo 1 does not follow.*prove home anew")
+        told = pytest.raises(ServoError, match=r"in state fault \(servo 1 does not follow.*home the robot again")
         with told, Controller(rig, calibration(), limits) as robot:
             robot.engage()
             hold_for(robot, [2.5, 0.0], 1.5)
@@ -27,7 +27,7 @@ def test_what_ends_a_program_goes_on_as_what_it_is_with_what_the_finger_did():
             hold_for(robot, [2.5, 0.0], 1.5)
             bus.damage(0, jammed=True)
             raise LookupError("of its own")
-        assert "prove home anew" in ended.value.__notes__[0] and not torque(bus)
+        assert "home the robot again" in ended.value.__notes__[0] and not torque(bus)
 
 
 def test_a_fault_that_its_program_has_seen_is_not_told_again():

@@ -199,7 +199,7 @@ def test_a_chunk_without_a_checksum_among_others_is_said(tmp_path):
 
 
 def test_data_without_chunks_that_fail_their_checksum_are_refused(tmp_path):
-    """Nothing tells which message is damaged."""
+    """Nothing shows which message is damaged."""
     path = goals(tmp_path / "run.mcap", use_chunking=False, enable_data_crcs=True)
     with path.open("rb") as file:
         assert read_closing(file, path.stat().st_size).data is True

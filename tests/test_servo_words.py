@@ -79,10 +79,10 @@ def test_no_word_of_the_guards_own_is_shown():
 
 def test_why_driving_ended_is_said_once_and_with_what_leads_on():
     tripped = {"state": "fault", "cause": "tripped", "servo": 0}
-    assert words.lost(tripped, words.sentence(tripped)) == "end this, and prove home anew (softmap servo home)"
+    assert words.lost(tripped, words.sentence(tripped)) == "end this, and home the robot again (softmap servo home)"
     hot = {"state": "fault", "cause": "hot", "servo": 0}
     assert words.lost(hot, words.sentence(hot)) == "let go of the key, then reset the fault"
     held = {"state": "hold", "cause": "deadman"}
     assert words.lost(held, "no hand") == "driving ended: no hand; release the key and press it again"
     unproved = {"state": "connected", "cause": "tripped"}
-    assert "prove home anew" in words.lost(unproved, words.sentence(tripped))
+    assert "home the robot again" in words.lost(unproved, words.sentence(tripped))

@@ -31,7 +31,7 @@ from softmap_edge.teleop.busy import Busy
 from softmap_edge.teleop.drive import Drive
 from softmap_edge.teleop.eyes import NoEyes
 
-BROKEN = re.compile(r"servo \d|silent|unplugged|without power|home anew|servo home|watchdog|FAULT|Fault,")
+BROKEN = re.compile(r"servo \d|silent|unplugged|without power|home the robot|servo home|watchdog|FAULT|Fault,")
 TRACK = ["track", "S", "--amplitude", "4", "--duration", "3", "--rate", "20", "--hide", "backlash", "--json"]
 
 

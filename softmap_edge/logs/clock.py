@@ -150,7 +150,7 @@ def _report_dropped(
         notes.append(f"{lost} rows whose time does not increase were dropped")
         return
     at = int(np.argmin(fresh))
-    cause = _way_out(t, row, at, find_jump(t, clock), bool(t[at] < t[at - 1]))
+    cause = _way_out(t, row, at, find_jump(t, clock))
     doubts.append(
         f't: time.repeated = "drop" leaves out {lost} of {len(fresh)} rows ({100 * share:.0f} %), '
         f"from row {row[at]} on; {cause}"
@@ -263,11 +263,11 @@ def _refuse_falls(path: Path, where: str, t: Array, cells: Cells, row: NDArray[n
     now, before = differing(t[at], t[at - 1])
     raise RunError(
         f"{path}: time {'goes backwards' if back else 'stands still'} at row {row[at]} ({where} {cells.lines[at]}: "
-        f"{now} s after {before} s), {int(late.sum())} such rows; {_way_out(t, row, at, jump, back)}"
+        f"{now} s after {before} s), {int(late.sum())} such rows; {_way_out(t, row, at, jump)}"
     )
 
 
-def _way_out(t: Array, row: NDArray[np.int64], at: int, jump: Jump | None, back: bool) -> str:
+def _way_out(t: Array, row: NDArray[np.int64], at: int, jump: Jump | None) -> str:
     if jump is not None and jump.period_s is not None:
         return f'the clock rolls over at {jump.period} ({jump.period_s:.10g} s): set time.jumps = "mend" to count on'
     cut = f"or import the log in two parts, to_row = {row[at] - 1} and from_row = {row[at]}"

@@ -286,7 +286,7 @@ def _letters(name: str) -> list[int]:
 
 
 def _by_letter(names: list[str], bare: list[str]) -> Iterator[tuple[list[str], str]]:
-    """Yield triples whose names differ in x, y, z. Of names that are there several times, the first of each, …"""
+    """Yield triples whose names differ in x, y, z; where names repeat, the first of each, then the second of each."""
     where: dict[str, list[int]] = {}
     for k, name in enumerate(bare):
         where.setdefault(name, []).append(k)

@@ -130,9 +130,9 @@ def onward(report: dict[str, Any]) -> str:
     if state == "fault" and why not in LOSES_HOME:
         return "mend that, then acknowledge it or begin anew"
     if why == "hardware" and state in ("fault", "off", "connected"):
-        return f"{restarts(report)}, then prove home anew (`softmap servo home`)"
+        return f"{restarts(report)}, then home the robot again (`softmap servo home`)"
     if state in ("fault", "off", "connected"):
-        return "mend that, then prove home anew (`softmap servo home`)"
+        return "mend that, then home the robot again (`softmap servo home`)"
     if state == "safe_stop":
         return "it slackens; once it is ready, or that is mended and acknowledged, engage it"
     return "arm and engage it first" if state == "homed" else "engage it first"
@@ -180,9 +180,9 @@ def lost(report: dict[str, Any], why: str) -> str:
     state = str(report.get("state", "off"))
     again = "release the key and press it again"
     if state in ("off", "connected") or (state == "fault" and report.get("cause") in LOSES_HOME):
-        again = "end this, and prove home anew (softmap servo home)"
+        again = "end this, and home the robot again (softmap servo home)"
         if report.get("cause") == "hardware":
-            again = f"end this, {restarts(report)}, and prove home anew (softmap servo home)"
+            again = f"end this, {restarts(report)}, and home the robot again (softmap servo home)"
     elif state in ("fault", "homed"):
         again = "let go of the key, then reset the fault"
     return again if why == sentence(report) else f"driving ended: {why}; {again}"

@@ -26,7 +26,7 @@ fn a_bus_in_simulated_time_answers_however_long_the_computer_takes() {
     }
     let passed = bus.port().now() - begun;
     assert!(passed < 3 * MS, "{passed} ns, three questions of 0.3 ms");
-    assert_eq!(bus.ping(3).ok(), None, "nobody: until the time is over");
+    assert_eq!(bus.ping(3).ok(), None, "no servo answers: until the time is over");
 }
 
 #[test]
@@ -97,7 +97,7 @@ fn paced_time_stands_while_whoever_drives_is_away() {
 }
 
 #[test]
-fn an_unplugged_port_is_gone_and_keeps_nobody_waiting() {
+fn an_unplugged_port_is_gone_and_keeps_no_caller_waiting() {
     let mut servos = simulated();
     servos.hold(0);
     let mut master = port(&servos);

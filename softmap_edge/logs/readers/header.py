@@ -173,7 +173,7 @@ def _names_above(lines: list[_Line], first: int, width: int) -> int | None:
     while k >= 0 and lines[k].kind != "row":
         if lines[k].kind == "text" and _wide(lines[k].cells, width):
             seen = k if seen is None else seen
-            if not _units_below(lines[k].cells, lines, k, width):
+            if not _units_below(lines, k):
                 return k
         k -= 1
     return seen
@@ -186,8 +186,9 @@ def _wide(cells: list[str], width: int) -> bool:
     return len(cells) == width or max(min(width, 2), width // 2) <= count <= width + spare
 
 
-def _units_below(cells: list[str], lines: list[_Line], k: int, width: int) -> bool:
-    """Whether a line holds units (or types) of the names above it."""
+def _units_below(lines: list[_Line], k: int) -> bool:
+    """Return whether a line holds units (or types) of the names above it."""
+    cells = lines[k].cells
     filled = [cell for cell in cells if cell]
     if not filled:
         return False

@@ -45,7 +45,7 @@ def files_of(folder: Path) -> Folder:
             return Folder(
                 tuple(recordings), (f"{folder.name} has no {METADATA}: the recorder was interrupted, or it is lost",)
             )
-        raise RunError(f"{folder}: a folder without a recording: {_what(folder, inside)}; give the path of a log")
+        raise RunError(f"{folder}: a folder without a recording: {_contents(inside)}; give the path of a log")
     names = named_files(_text(folder / METADATA))
     files = [_present(folder, name) for name in names]
     absent = [name for name, file in zip(names, files) if file is None]
@@ -124,7 +124,7 @@ def _inside(folder: Path) -> list[Path]:
     return sorted(found)
 
 
-def _what(folder: Path, inside: list[Path]) -> str:
+def _contents(inside: list[Path]) -> str:
     """Return a text on the contents of a folder."""
     bags = [path.name for path in inside if path.is_dir() and ((path / METADATA).is_file() or is_dataset(path))]
     if bags:
