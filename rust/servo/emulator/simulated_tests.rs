@@ -26,7 +26,11 @@ fn a_bus_in_simulated_time_answers_however_long_the_computer_takes() {
     }
     let passed = bus.port().now() - begun;
     assert!(passed < 3 * MS, "{passed} ns, three questions of 0.3 ms");
-    assert_eq!(bus.ping(3).ok(), None, "no servo answers: until the time is over");
+    assert_eq!(
+        bus.ping(3).ok(),
+        None,
+        "no servo answers: until the time is over"
+    );
 }
 
 #[test]
