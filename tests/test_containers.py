@@ -15,7 +15,7 @@ from recordings import BAG_MAP as MAP
 from recordings import BAG_START as START
 from recordings import JOINT_STATE, joint_state, write_mcap
 
-from softmap_edge.errors import RunError
+from softmap_edge.errors import RecordingWarning, RunError
 from softmap_edge.logs.guess import guess_mapping
 from softmap_edge.logs.importer import import_logs, read_mapping
 from softmap_edge.logs.mapping import parse_mapping
@@ -422,3 +422,16 @@ def test_a_mapping_may_name_the_folder_or_the_file_in_it(tmp_path, monkeypatch):
     done = imported([Path(".")])
     same(done.run, complete)
     assert guess_mapping([Path(".")]).text.splitlines()[1].startswith("# ASSUMED  time of bag /goal")
+
+
+def test_damage_of_a_packed_recording_names_the_packed_file(tmp_path):
+    path = tmp_path / "run.mcap"
+    write_mcap(path, messages(), compression="none")
+    packed = tmp_path / "run.mcap.zstd"
+    packed.write_bytes(zstandard.ZstdCompressor().compress(path.read_bytes()[:-100]))  # cut short
+    path.unlink()
+    with pytest.warns(RecordingWarning) as warned:
+        done = imported([packed])
+    for text in (*done.damage, *(str(one.message) for one in warned)):
+        assert str(packed) in text and tempfile.gettempdir() + "/softmap-" not in text
+    assert done.damage

@@ -114,7 +114,7 @@ def topics_of(part: Part) -> list[Topic]:
         RunError: it is damaged.
     """
     with called(part.file, part.path):
-        return topics_of_db3(part.file) if part.kind == "db3" else topics(part.file)
+        return topics_of_db3(part.file) if part.kind == "db3" else topics(part.file, part.path)
 
 
 def open_topic(part: Part, topic: str | None, most: int | None = None) -> Columns:
@@ -124,7 +124,9 @@ def open_topic(part: Part, topic: str | None, most: int | None = None) -> Column
         RunError: it is damaged, or the topic is not there.
     """
     with called(part.file, part.path):
-        return (open_db3 if part.kind == "db3" else open_mcap)(part.file, topic, most)
+        if part.kind == "db3":
+            return open_db3(part.file, topic, most)
+        return open_mcap(part.file, topic, most, part.path)
 
 
 def open_parts(parts: Sequence[Part], log: Log) -> Columns:

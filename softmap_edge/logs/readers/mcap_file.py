@@ -33,14 +33,14 @@ class Topic:
     readable: bool
 
 
-def topics(path: Path) -> list[Topic]:
+def topics(path: Path, shown: Path | None = None) -> list[Topic]:
     """Return the recorded topics; issue a `RecordingWarning` for a damaged or cut file.
 
     Raises:
         RunError: as `open_mcap`.
     """
     found: dict[str, Topic] = {}
-    messages = Messages(path)
+    messages = Messages(path, shown)
     for channel, schema, message in messages:
         had = found.get(channel.topic)
         readable = message is not None and channel.message_encoding == "cdr" and schema is not None
@@ -55,8 +55,10 @@ def topics(path: Path) -> list[Topic]:
     return list(found.values())
 
 
-def open_mcap(path: Path, topic: str | None, most: int | None = None) -> HeldColumns:
+def open_mcap(path: Path, topic: str | None, most: int | None = None, shown: Path | None = None) -> HeldColumns:
     """Read the messages of a topic, of the only one if `topic` is None; `most` ends the reading early.
+
+    `shown` is the path that messages about damage name: that of the packed file, say.
 
     Damaged or missing parts are reported as a `Damage` among the notes and as a `RecordingWarning`.
 
@@ -64,12 +66,12 @@ def open_mcap(path: Path, topic: str | None, most: int | None = None) -> HeldCol
         RunError: `mcap` is not installed, the file is damaged, or the topic is not there or cannot be decoded.
     """
     if topic is None:
-        found = topics(path)
+        found = topics(path, shown)
         if len(found) != 1:
             named = ", ".join(f"{t.name} ({t.type})" for t in found)[:300] or "none"
             raise RunError(f'{path}: holds {len(found)} topics ({named}); name one in the mapping: topic = "…"')
         topic = found[0].name
-    messages = Messages(path)
+    messages = Messages(path, shown)
     rows = MessageRows(path, topic)
     known: dict[int, tuple[str, Types]] = {}
     seen: set[str] = set()

@@ -51,12 +51,12 @@ class Messages:
         RunError: `mcap` is not installed, the file is no MCAP file, or no checksum confirms its messages.
     """
 
-    def __init__(self, path: Path) -> None:
-        self._path = path
+    def __init__(self, path: Path, shown: Path | None = None) -> None:
+        self._path, self._shown = path, shown or path  # the file, and the path that the user knows
         self._schemas: dict[int, Schema] = {}
         self._channels: dict[int, Channel] = {}
         self._spare: tuple[dict[int, Channel], dict[int, Schema]] = {}, {}  # of the summary
-        self.account = Account(path, 0, None)
+        self.account = Account(self._shown, 0, None)
 
     def __iter__(self) -> Iterator[tuple[Any, Any, Any]]:
         try:
@@ -78,7 +78,7 @@ class Messages:
                 )
             size = self._path.stat().st_size
             closing = read_closing(file, size)
-            self.account = account = Account(self._path, size, closing)
+            self.account = account = Account(self._shown, size, closing)
             for kind, body in () if closing is None else closing.defined:
                 self._define(kind, body, *self._spare)
             walk = Walk(file, size, None if closing is None else closing.data_end)
