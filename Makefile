@@ -7,7 +7,7 @@ OUT ?= out
 
 RUST := $(shell find rust -name '*.rs') Cargo.toml Cargo.lock rust/servo/Cargo.toml
 
-.PHONY: demo build test lint bench bank outside prove docs wheel data builtin clean test-rust test-python
+.PHONY: demo build test test-long lint bench bank outside prove docs wheel data builtin clean test-rust test-python
 
 demo: $(VENV)/.core
 	$(BIN)/softmap demo --out $(OUT)/demo
@@ -26,6 +26,10 @@ test-rust:
 # One worker more than cores, each with one thread: tests of the control loop wait more than they compute.
 test-python: $(VENV)/.test
 	RAYON_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -m "not prove" -n $$(($$(nproc) + 1)) --dist loadfile --no-loadscope-reorder --durations 12
+
+# Five hundred damaged files of each format of logs, clouds and meshes.
+test-long: $(VENV)/.test
+	RAYON_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -m long -n $$(nproc)
 
 # rustfmt by file: `cargo fmt` does not see the modules that a macro declares (rust/effects/mod.rs).
 lint: $(VENV)/.lint

@@ -432,3 +432,13 @@ def test_a_parquet_file_of_more_numbers_than_are_read(tmp_path):
     path = tmp_path / "a.parquet"
     pq.write_table(pa.table({"t": np.zeros(2**25 + 2, np.int8)}), path)
     assert path.stat().st_size < 10**6 and "holds more than 33554432 numbers" in refused(path)
+
+
+def test_signalling_nans_are_missing_values_without_a_warning(tmp_path):
+    """Damaged bytes may hold them; any sum or product with one is a floating-point exception, here an error."""
+    values = arrays()
+    values["tip"] = np.array(values["tip"], float)
+    values["t"] = np.array(values["t"], float)
+    values["t"].view(np.uint64)[7] = 0x7FF0_0000_0000_0001
+    values["tip"].view(np.uint64)[5] = 0x7FF0_0000_0000_0001
+    assert "the time is empty or not a number" in refused(npz(tmp_path / "a.npz", values))

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.errors import RunError
-from softmap_edge.logs.readers.columns import Array, Cells
+from softmap_edge.logs.readers.columns import Array, Cells, quiet
 
 MOST_COLUMNS = 4096  # of one array, and of all of a file
 _SHOWN = 6  # arrays that a note names
@@ -46,7 +46,8 @@ class ArrayColumns:
         lengths = {len(self.columns[k]) for k in asked}
         if len(lengths) > 1:
             raise RunError(f"{self.path}: {self._lengths(asked)}: give each length a [[log]] of its own, with its time")
-        numbers = np.stack([self.columns[k][:rows] for k in places], axis=1) if places else np.zeros((0, 0))
+        columns = [self.columns[k][:rows] for k in places]
+        numbers = quiet(np.stack(columns, axis=1)) if places else np.zeros((0, 0))
         labels = None if label is None else self._labels(label, rows)
         if not places and labels is not None:
             numbers = np.empty((len(labels), 0))

@@ -48,6 +48,12 @@ class Columns(Protocol):
         """Return the cells of some columns by their positions; `rows` ends the reading early."""
 
 
+def quiet(numbers: Array) -> Array:
+    """Replace signalling NaNs, which damaged bytes may hold, by ordinary ones, in place; return the numbers."""
+    numbers[np.isnan(numbers)] = np.nan
+    return numbers
+
+
 @dataclass(frozen=True)
 class HeldColumns:
     """Columns that a reader of a binary format has in memory already."""
@@ -62,7 +68,7 @@ class HeldColumns:
 
     def read(self, places: list[int], label: int | None = None, rows: int | None = None) -> Cells:
         """Return the cells of some columns."""
-        numbers = self.numbers[:rows, places]
+        numbers = quiet(self.numbers[:rows, places])
         lines = np.arange(1, len(numbers) + 1)
         if label is None:
             return Cells(numbers, None, lines, self.notes)
