@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from softmap_edge.errors import RunError
 from softmap_edge.output import Output, output_of
-from softmap_edge.time_text import differing
+from softmap_edge.time_digits import differing
 
 if TYPE_CHECKING:
     from softmap_edge.run import Run

@@ -8,7 +8,7 @@ from softmap_edge.errors import RunError
 from softmap_edge.logs.guess import guess_mapping
 from softmap_edge.logs.importer import import_logs, read_mapping
 from softmap_edge.run import Run
-from softmap_edge.time_text import differing
+from softmap_edge.time_digits import differing
 
 START = 1_700_000_000.0
 ARM, GRIPPER = ("left", "right"), ("gripper_l", "gripper_r")

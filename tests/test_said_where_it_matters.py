@@ -10,8 +10,8 @@ from softmap_edge import Run, diagnose, learn_model, save_bundle
 from softmap_edge.cli import main
 from softmap_edge.coverage import apart
 from softmap_edge.diagnosis.advice import advice
-from softmap_edge.flat import plane_of
 from softmap_edge.outside import beyond
+from softmap_edge.plane import plane_of
 
 
 def run_of(u, t, noise=0.1, **more):

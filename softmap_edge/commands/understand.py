@@ -236,8 +236,8 @@ def _refit_finger(args: argparse.Namespace) -> int:
 
 def warn_outside(verb: str, model: Any, run: Any) -> None:
     """Tell on stderr, beside any document, where a run leaves the commands or the frame of the model."""
-    from softmap_edge.flat import plane_of
     from softmap_edge.outside import beyond, elsewhere
+    from softmap_edge.plane import plane_of
 
     plane = plane_of(run)
     flat = [] if plane is None else [f"{plane}; no effect across it is tested"]

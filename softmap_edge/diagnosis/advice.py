@@ -20,9 +20,8 @@ from softmap_edge.diagnosis.collinear import collinear_conditions, tied_channels
 from softmap_edge.diagnosis.conditions import STILL, Conditions, conditions, last_direction, orientations
 from softmap_edge.diagnosis.floor import commanded, noise_of_points
 from softmap_edge.diagnosis.repeats import LONG_DWELL
-from softmap_edge.flat import plane_of
 from softmap_edge.folds import GAP, LEAST_FRAMES, without_gap
-from softmap_edge.plane import AXES, unmeasured
+from softmap_edge.plane import AXES, plane_of, unmeasured
 from softmap_edge.run import Run, known
 
 Floats = NDArray[np.float64]

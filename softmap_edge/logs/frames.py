@@ -19,7 +19,7 @@ from softmap_edge.logs.swaps import find_swaps, mend_swaps
 from softmap_edge.logs.table import LogTable, place
 from softmap_edge.output import output_of
 from softmap_edge.plane import AXES, PLANE
-from softmap_edge.time_text import differing
+from softmap_edge.time_digits import differing
 
 Array = NDArray[np.float64]
 _TOLD = 5  # swaps, and markers not seen, that are named one by one

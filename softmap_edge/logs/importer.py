@@ -33,7 +33,7 @@ from softmap_edge.logs.table import LogTable, read_log
 from softmap_edge.mcap_records import Damage
 from softmap_edge.plane import AXES, PLANE
 from softmap_edge.run import NOT_SEEN, SPOOL_RADIUS, Run
-from softmap_edge.time_text import differing
+from softmap_edge.time_digits import differing
 
 __all__ = ["Imported", "Mapping", "import_logs", "read_mapping", "unhold"]
 

@@ -23,11 +23,11 @@ from softmap_edge.coverage import Coverage, apart, said_apart
 from softmap_edge.diagnosis.base_motion import kept_places
 from softmap_edge.diagnosis.lost import without_lost
 from softmap_edge.errors import RunError, SoftmapError
-from softmap_edge.flat import plane_of
 from softmap_edge.folds import folds
 from softmap_edge.home_command import home_command
 from softmap_edge.learned_in import LearnedIn
 from softmap_edge.model import NOMINAL, Model
+from softmap_edge.plane import plane_of
 from softmap_edge.rod.elastic import ElasticParameters
 from softmap_edge.rod.elastic_fit import fit_elastic, fit_for
 from softmap_edge.rod.polynomial import RodParameters, fit_polynomial
