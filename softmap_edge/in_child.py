@@ -9,6 +9,7 @@ memory than allowed, only the child ends. Pinned by tests/test_in_child.py.
 
 from __future__ import annotations
 
+import contextlib
 import faulthandler
 import json
 import os
@@ -147,11 +148,13 @@ def _limit(megabytes: int, seconds: float) -> None:
 
 def _isolate(pipe: int) -> None:
     """Close whatever this process has open (ports, sockets, files) but the pipe; drop output."""
-    most = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
-    os.closerange(0, pipe)
-    os.closerange(pipe + 1, most)
-    for stream in range(3):
-        os.dup2(os.open(os.devnull, os.O_RDWR), stream)
+    nowhere = os.open(os.devnull, os.O_RDWR)
+    for descriptor in map(int, os.listdir("/proc/self/fd")):
+        if descriptor not in (pipe, nowhere):
+            with contextlib.suppress(OSError):  # that of the listing is closed by now
+                os.close(descriptor)
+    for stream in {0, 1, 2} - {pipe}:
+        os.dup2(nowhere, stream)
     sys.stdout = sys.stderr = open(os.devnull, "w")  # noqa: SIM115
 
 

@@ -131,3 +131,11 @@ def test_it_works_while_threads_run():
         stop.set()
         for worker in workers:
             worker.join()
+
+
+def test_the_child_holds_nothing_of_what_the_parent_has_open(tmp_path):
+    """A port or a socket of the caller is no parser's; only the standard streams, the null device and the pipe stay."""
+    with open(tmp_path / "port", "w") as port:
+        names = in_child(lambda: [os.readlink(f"/proc/self/fd/{fd}") for fd in os.listdir("/proc/self/fd")[:-1]])
+    assert port.name not in names and len(names) < 8
+    assert all(name == os.devnull or name.startswith(("pipe:", "/proc/")) for name in names)
