@@ -48,6 +48,12 @@ class Client:
         }
         self.connection.send(json.dumps(said | ({"do": do} if do else {}) | changes))
 
+    def press(self):
+        """Press the key anew; a busy computer's gap between two words has let it go."""
+        self.hear()
+        self.say(False)
+        self.say(True)
+
     def hear(self):
         """Return the newest state."""
         with suppress(TimeoutError):
