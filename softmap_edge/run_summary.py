@@ -17,6 +17,7 @@ from softmap_edge.diagnosis.collinear import collinear_conditions
 from softmap_edge.diagnosis.conditions import HOME, conditions, orientations
 from softmap_edge.diagnosis.frame_clock import frame_clock
 from softmap_edge.diagnosis.lost import REMEDY, without_lost
+from softmap_edge.registration.clouds import with_depth
 from softmap_edge.report.advice_text import advice_lines
 from softmap_edge.report.numbers import folded
 from softmap_edge.run import BASE_MARKERS, OURS, Run, known
@@ -38,6 +39,7 @@ def summary(recorded: Run, model: Any = None) -> dict[str, Any]:
     `frame_clock` is how the clock of the frames runs against that of the commands (`frame_clock.FrameClock`), or None.
     """
     run, lost = without_lost(converted(model, recorded), REMEDY)
+    run, depthless = (run, "") if run.points is None else with_depth(run)
     kind = next((name for name in ("vertices", "markers", "points") if getattr(run, name) is not None), None)
     seen = None if kind is None else getattr(run, kind)
     document: dict[str, Any] = {
@@ -78,7 +80,8 @@ def summary(recorded: Run, model: Any = None) -> dict[str, Any]:
     document["cannot_tell"] = [word.to_dict() for word in words if not word.tells]
     clock = frame_clock(run)
     document["frame_clock"] = None if clock is None else clock.to_dict()
-    document["warnings"] = _warnings(run) + ([str(clock)] if clock is not None and clock.differs else [])
+    drift = str(clock) if clock is not None and clock.differs else ""
+    document["warnings"] = [*filter(None, [depthless]), *_warnings(run), *filter(None, [drift])]
     return document
 
 

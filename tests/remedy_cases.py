@@ -58,7 +58,7 @@ def _finger(size: float = 8.0, shift: Sequence[float] = (0.0, 0.0, 0.0), effects
     return replace(blank, vertices=points + np.asarray(shift, float))
 
 
-def _clouds() -> None:
+def write_clouds() -> None:
     model, rng = builtin_model(), np.random.default_rng(0)
     goal = np.array([[0, 0], [6, 0], [0, 6], [-6, 3], [4, -5], [0, 0]], float)
     t = np.arange(len(goal)) * 2.0
@@ -133,7 +133,7 @@ CASES = [
         ["compare", "r.npz", "--bundle", "b"],
     ),
     Remedy(
-        "clouds", _clouds, ["compare", "clouds.npz"], "softmap register",
+        "clouds", write_clouds, ["compare", "clouds.npz"], "softmap register",
         [["register", "clouds.npz", "--out", "registered.npz"]], ["compare", "registered.npz"],
     ),
     Remedy(

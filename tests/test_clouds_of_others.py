@@ -1,11 +1,14 @@
 """Clouds as others write them, and pixels without depth: each gives the points that a plain CSV gives."""
 
 import json
+import re
 import struct
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from remedy_cases import write_clouds
 
 from softmap_edge import builtin_model
 from softmap_edge.cli import main
@@ -337,3 +340,23 @@ def test_a_run_of_clouds_leaves_them_out_too(tmp_path):
     notes = []
     assert [len(c) for c in clouds_of(read_clouds([tmp_path / "run.npz"], notes))] == [240, 200]
     assert notes[0].startswith("run.npz: 1 of 2 clouds, the first is cloud 0: 60 of 300 points are at exactly 0, 0, 0")
+
+
+def test_pixels_without_depth_change_nothing_that_uses_the_clouds_of_a_run(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    write_clouds()
+    run = Run.load("clouds.npz")
+    pixels = np.random.default_rng(5).integers(1, 900, run.frames)
+    parts = [np.vstack([cloud, np.zeros((n, 3))]) for cloud, n in zip(clouds_of(run), pixels)]
+    start = np.cumsum([0, *map(len, parts)])
+    replace(run, points=np.vstack(parts), start=start).save("zeros.npz")
+    shown = []
+    for name in ("clouds", "zeros"):
+        assert main(["check", f"{name}.npz"]) == 0
+        shown.append(capsys.readouterr().out)
+        assert main(["align", f"{name}.npz", "--base", "clamped", "--out", f"{name}_aligned.npz"]) == 0
+        assert main(["register", f"{name}_aligned.npz", "--out", f"{name}_registered.npz"]) in (0, 1)
+    assert "pixels without depth" in " ".join(shown[1].split()) and "without depth" not in shown[0]
+    assert re.findall("seen.*\n.*base frame", shown[0]) == re.findall("seen.*\n.*base frame", shown[1]) != []
+    one, other = (Run.load(f"{name}_registered.npz").vertices for name in ("clouds", "zeros"))
+    np.testing.assert_array_equal(one, other)

@@ -67,7 +67,12 @@ def read_clouds(paths: Sequence[str | Path], notes: list[str] | None = None) -> 
     files = [Path(path) for path in paths]
     found: list[str] = [] if notes is None else notes
     if len(files) == 1 and files[0].is_file() and "t_seen" in names_in(files[0]):
-        return _seen(Run.load(files[0]), files[0], found)
+        run = Run.load(files[0])
+        if run.points is None:
+            raise RegistrationError(f"{files[0]}: a run without clouds (`points`, `start`); nothing to register")
+        run, text = with_depth(run)
+        found += [f"{files[0].name}: {text}"] if text else []
+        return run
     frames = [_cloud(path, found) for path in files]
     start = np.cumsum([0, *map(len, frames)])
     return Run(
@@ -76,23 +81,27 @@ def read_clouds(paths: Sequence[str | Path], notes: list[str] | None = None) -> 
 
 
 def clouds_of(run: Run) -> list[Floats]:
-    """Return the clouds (M, 3) mm of a run, one a frame."""
+    """Return the measured points (M, 3) mm of each cloud of a run, one cloud a frame; pixels without depth are not."""
+    return [cloud[left_out(cloud)[0]] for cloud in _clouds(run)]
+
+
+def with_depth(run: Run) -> tuple[Run, str]:
+    """Return a run of clouds without the pixels that have no depth, and a sentence about these ("" if none)."""
+    clouds = _clouds(run)
+    found = [left_out(cloud) for cloud in clouds]
+    lost = [(k, text) for k, (_, text) in enumerate(found) if text]
+    if not lost:
+        return run, ""
+    start = np.cumsum([0, *(int(good.sum()) for good, _ in found)])
+    kept = replace(run, points=np.vstack([cloud[good] for cloud, (good, _) in zip(clouds, found)]), start=start)
+    return kept, f"{len(lost)} of {len(found)} clouds, the first is cloud {lost[0][0]}: {lost[0][1]}"
+
+
+def _clouds(run: Run) -> list[Floats]:
+    """Return the clouds of a run as they are stored."""
     if run.points is None or run.start is None:
         raise RegistrationError("the run holds no clouds (`points`, `start`); nothing to register")
     return [run.points[a:b] for a, b in zip(run.start[:-1], run.start[1:])]
-
-
-def _seen(run: Run, path: Path, notes: list[str]) -> Run:
-    """Return a run of clouds without points that were not measured."""
-    if run.points is None or run.start is None:
-        raise RegistrationError(f"{path}: a run without clouds (`points`, `start`); nothing to register")
-    found = [left_out(cloud) for cloud in clouds_of(run)]
-    if all(good.all() for good, _ in found):
-        return run
-    lost = [(k, text) for k, (_, text) in enumerate(found) if text]
-    notes.append(f"{path.name}: {len(lost)} of {len(found)} clouds, the first is cloud {lost[0][0]}: {lost[0][1]}")
-    start = np.cumsum([0, *(int(good.sum()) for good, _ in found)])
-    return replace(run, points=run.points[np.concatenate([good for good, _ in found])], start=start)
 
 
 def _cloud(path: Path, notes: list[str]) -> Floats:
