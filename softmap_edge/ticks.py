@@ -9,6 +9,7 @@ A calibration is somebody else's file: shapes, finiteness, size and whether A ha
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from itertools import product
@@ -18,7 +19,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from softmap_edge.errors import CalibrationError
-from softmap_edge.run import Run
+from softmap_edge.home_command import home_command
+from softmap_edge.run import HOME_TICKS, Run
 
 Floats = NDArray[np.float64]
 
@@ -28,7 +30,13 @@ TICKS = "ticks"  # the unit of commands that are ticks
 LARGEST = 1e7  # ticks, mm: beyond any servo, as for a run
 MOST_SERVOS = 64
 TURN = 4096  # ticks of a turn of the horn
+TICKS_PER_MM = 280.0  # of a spool of 2.33 mm: what an emulated robot has whose bundle holds no calibration
 SINGULAR = 1e6  # condition of A from which it has no inverse of use
+
+
+def tendon_mm(unit: str) -> float:
+    """Return the mm of tendon that an emulated robot winds by one unit of command; units other than ticks are mm."""
+    return 1.0 / TICKS_PER_MM if unit == TICKS else 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -219,21 +227,48 @@ def converted(model: Any, run: Run) -> Run:
     if calibration is None:
         return commanded_in_ticks(run) if getattr(model, "command_unit", "mm") == TICKS else run
     run = held_in_ticks(run)
-    encoded = run.present_ticks is not None and run.present is None
-    if not encoded and run.ticks is None:
+    if run.ticks is None and (run.present_ticks is None or run.present is not None):
         return run
     if run.channels != len(calibration.b):
         raise CalibrationError(
             f"the run has {run.channels} servos, the calibration of '{model.robot}' is of {len(calibration.b)}; it is "
             "a run of another robot"
         )
+    return _commanded(run, calibration)
+
+
+def _commanded(run: Run, calibration: Calibration) -> Run:
+    """Return a run with its ticks as commands."""
+    encoded = run.present_ticks is not None and run.present is None
     drive = Run(
         t=run.t,
         command=run.command if run.ticks is None else calibration.commands(run.ticks),
         present=calibration.commands(run.present_ticks) if encoded and run.present_ticks is not None else run.present,
         command_unit=calibration.unit if run.ticks is not None else run.command_unit,
     )
-    return _driven(run, drive)
+    whole = _driven(run, drive)
+    if calibration.unit == TICKS:
+        object.__setattr__(whole, "extra", {**run.extra, HOME_TICKS: np.asarray(calibration.home)})
+    return whole
+
+
+def from_home(runs: Sequence[Run]) -> tuple[list[Run], Calibration | None]:
+    """Return runs in ticks with commands that count ticks from home, for a model that is learned and needs no mm.
+
+    Args:
+        runs: of one robot. Home is 0 where their ranges hold it, else the middle of the ranges (`home_command`).
+
+    Returns:
+        tuple: the runs and the map that counts from home; runs of which one is not in ticks as they are, and None.
+    """
+    held = [held_in_ticks(run) for run in runs]
+    goals = [run.ticks for run in held if run.ticks is not None]
+    if not goals or len(goals) < len(runs) or len({goal.shape[1] for goal in goals}) > 1 or not goals[0].shape[1]:
+        return list(runs), None
+    rows = np.concatenate(goals)
+    home = np.rint(home_command(np.stack([rows.min(axis=0), rows.max(axis=0)], axis=1)))
+    counted = Calibration.stated(np.eye(len(home)), 0.0 * home, home, "ticks from home", unit=TICKS)
+    return [_commanded(run, counted) for run in held], counted
 
 
 def commanded_in_ticks(run: Run) -> Run:
@@ -246,8 +281,8 @@ def commanded_in_ticks(run: Run) -> Run:
 
 
 def held_in_ticks(run: Run) -> Run:
-    """Return a run whose commands are in the unit ticks as one that holds `ticks`, for what converts or calibrates."""
-    if run.command is None or run.command_unit != TICKS:
+    """Return a run whose commands are ticks as one that holds `ticks`; commands that count from home stay."""
+    if run.command is None or run.command_unit != TICKS or HOME_TICKS in run.extra:
         return run
     goal = np.rint(run.command).astype(np.int64)
     encoded = run.present is not None and run.present_ticks is None

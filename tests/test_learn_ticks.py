@@ -10,7 +10,7 @@ import pytest
 from test_learned_memory import arc, wander
 from tick_runs import HOME, MODEL, record, scattered
 
-from softmap_edge import Run, compare, diagnose, learn_model
+from softmap_edge import Run, compare, diagnose, learn_model, save_bundle
 from softmap_edge.alignment.calibration import calibrate
 from softmap_edge.cli import main
 from softmap_edge.errors import RunError
@@ -96,31 +96,50 @@ def test_inverse_kinematics_answers_in_ticks(tmp_path, monkeypatch, capsys):
     assert main(["learn", "r.npz", "--static", "--out", "b"]) == 0
     model = learn_model(arm(), static=True)
     kinematics = Kinematics(model)
-    np.testing.assert_allclose(kinematics.home, 2048.0, atol=60.0)
-    target = model.prior.evaluate(np.array([[2300.0, 1800.0]]))[0, -3:]
+    np.testing.assert_allclose(kinematics.home, 0.0)
+    target = model.prior.evaluate(np.array([[252.0, -248.0]]))[0, -3:]
     solved = kinematics.solve(target[None])
     assert solved.distance[0] < 1e-3
-    np.testing.assert_allclose(solved.acting[0], [2300.0, 1800.0], atol=1.0)
+    np.testing.assert_allclose(solved.acting[0], [252.0, -248.0], atol=1.0)
     capsys.readouterr()
     reach = [f"{x:.3f}" for x in target]
     assert main(["track", "--workspace", "--bundle", "b", "--reach", *reach]) == 0
-    assert re.search(
-        r"within reach, where \(2300\.\d\d, 1800\.\d\d\) ticks acts|\(2299\.\d\d, 1", capsys.readouterr().out
-    )
+    assert re.search(r"within reach, where \(25[12]\.\d\d, -24[78]\.\d\d\) ticks acts", capsys.readouterr().out)
     assert main(["track", "--workspace", "--bundle", "b", "--json"]) == 0
     assert "commands_ticks" in json.loads(capsys.readouterr().out)
     assert main(["track", "O", "--plan", "--bundle", "b", "--amplitude", "4"]) == 0
-    assert main(["predict", "2048", "--bundle", "b"]) == 2
+    assert main(["predict", "100", "--bundle", "b"]) == 2
     assert "takes 2 finite commands in ticks" in capsys.readouterr().err
-    assert main(["predict", "2048,2048", "--bundle", "b"]) == 0
+    assert main(["predict", "100,-50", "--bundle", "b"]) == 0
+
+
+def test_an_emulated_robot_is_driven_in_ticks(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    save_bundle(learn_model(arm(), static=True), "b")
+    off = {}
+    for hidden in ("", "backlash"):
+        drive = ["track", "O", "--sim", "--bundle", "b", "--amplitude", "4", "--json"]
+        assert main([*drive, *(["--hide", hidden] if hidden else [])]) == 0
+        off[hidden] = json.loads(capsys.readouterr().out)["seen_mm"]["mean"]
+    assert off[""] < 0.3 < 3.0 < off["backlash"] < 6.0  # 1.2 mm of play at a spool of 280 ticks/mm bend it by 3 mm
+    assert main(["next", "--protocol", "validation", "--minutes", "1", "--bundle", "b", "--out", "n.csv"]) == 0
+    assert main(["record", "n.csv", "--emulated", "--bundle", "b", "--out", "r.npz"]) == 0
+    assert main(["compare", "r.npz", "--bundle", "b"]) == 0
+
+
+def in_degrees():
+    """A model of an arm whose commands are angles that are not counted from home."""
+    run = arm()
+    return learn_model(replace(run, ticks=None, command=run.ticks / 10.0, command_unit="deg"), static=True)
 
 
 def test_a_range_far_from_home_is_reported_and_its_middle_is_the_pose_at_rest():
     notes = learn_model(arm(), static=True).made_from["notes"]
-    assert any("far from 0" in note and "offset" in note for note in notes)
+    assert any("taken to be 2048, 2048, the middle" in note and "offset" in note for note in notes)
+    assert any("far from 0" in note and "offset" in note for note in in_degrees().made_from["notes"])
     centred = arm(home=0.0)
     model = learn_model(centred, static=True)
-    assert not any("far from 0" in note for note in model.made_from["notes"])
+    assert not any("offset" in note for note in model.made_from["notes"])
     away = learn_model(arm(), static=True)
     np.testing.assert_allclose(away.rest, model.rest, atol=1.5)  # the middle of the range, not ticks of 0
     for reach, home in (

@@ -20,9 +20,8 @@ from softmap_edge.servo.bench import Bench, read_bench
 from softmap_edge.servo.controller import Controller
 from softmap_edge.servo.emergency_key import EmergencyKey
 from softmap_edge.servo.limits import RATE
-from softmap_edge.ticks import TICKS, Calibration
+from softmap_edge.ticks import TICKS, TICKS_PER_MM, Calibration
 
-TICKS_PER_MM = 280.0  # of a spool of 2.33 mm: what an emulated robot has whose bundle holds no calibration
 HOME = 2048.0
 
 

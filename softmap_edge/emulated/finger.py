@@ -23,6 +23,7 @@ from softmap_edge.camera.frames import Frame
 from softmap_edge.commissioning.setup import Found, gains, set_up
 from softmap_edge.emulated.tendon_load import tendon_loads
 from softmap_edge.errors import ServoError
+from softmap_edge.home_command import home_command
 from softmap_edge.model import Model
 from softmap_edge.servo.bus import opened
 from softmap_edge.servo.clock import REAL_TIME, Clock, PacedTime, SteppedTime
@@ -31,7 +32,7 @@ from softmap_edge.servo.limits import loop_limits, servo_limits
 from softmap_edge.servo.models import servo_model
 from softmap_edge.servo.proof import set_mark
 from softmap_edge.servo.rig import Rig, RigServo
-from softmap_edge.ticks import Calibration
+from softmap_edge.ticks import Calibration, tendon_mm
 from softmap_edge.truth import check_hidden
 from softmap_edge.truth_laws import LAWS, Law
 from softmap_edge.truth_named import NAMED
@@ -94,7 +95,8 @@ class EmulatedFinger:
                 "must agree"
             )
         self._bus, self._model, self._map = bus, model, calibration
-        self._step = streamed(laws)
+        self._step = streamed(laws)  # in mm of tendon from rest
+        self._rest, self._mm = home_command(model.command_range), tendon_mm(model.command_unit)
         self._rng = np.random.default_rng(seed)
         self._clock = clock
         self._zero = clock.now() - float(self._rng.uniform(5.0, 500.0))  # where the camera's clock began
@@ -147,7 +149,7 @@ class EmulatedFinger:
         angles, pulls = np.array([(angle, pull) for angle, _, _, pull in horns]).T
         u = self._map.A @ (pulls * (angles - self._map.home)) + self._map.b
         if now > self._last and not self._done.is_set():
-            acting = self._step(now, u)
+            acting = self._rest + self._step(now, (u - self._rest) * self._mm) / self._mm
             self._acting.append((now, acting))
             if now - self._taken >= 1.0 / FRAMES and not self._blind:
                 self._take(now, acting)

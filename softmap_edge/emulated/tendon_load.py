@@ -13,10 +13,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from softmap_edge.home_command import home_command
 from softmap_edge.model import Model
 from softmap_edge.servo.models import Entry
 from softmap_edge.shape_arrays import plain_table
-from softmap_edge.ticks import TURN, Calibration
+from softmap_edge.ticks import TURN, Calibration, tendon_mm
 
 Floats = NDArray[np.float64]
 Load = list[tuple[float, float]]
@@ -34,11 +35,12 @@ def tendon_loads(model: Model, calibration: Calibration, window: tuple[float, fl
         servo: what is known of its model (`servo_model`).
     """
     stall = servo["stall_torque_Nm"], servo["stall_current_mA"]
+    length = calibration.A * tendon_mm(model.command_unit)  # of tendon, a tick
     away = np.linspace(*window, POINTS)
     loads = []
     for s, home in enumerate(calibration.home):
         u = calibration.b + np.outer(away, calibration.A[:, s])  # (POINTS, C)
-        torque = _forces(model, u) @ calibration.A[:, s] * TICKS_PER_RAD * 1e-3  # N·m
+        torque = _forces(model, u) @ length[:, s] * TICKS_PER_RAD * 1e-3  # N·m
         loads.append([(float(home + a), float(t * stall[1] / stall[0])) for a, t in zip(away, torque)])
     return loads
 
@@ -47,7 +49,7 @@ def _forces(model: Model, u: Floats) -> Floats:
     """Return with how many N each command (n, C) is pulled back, (n, C)."""
     prior = model.arrays.get("prior", {})
     if model.cables is None or "pull" not in prior:
-        return NOMINAL * u
+        return NOMINAL * tendon_mm(model.command_unit) * (u - home_command(model.command_range))
     pull = plain_table(prior, "pull")
     reach = 0.5 * np.diag(np.min(np.abs(np.asarray(model.command_range, float)), axis=1))  # (C, C)
     change = np.asarray(pull.evaluate(reach)) - np.asarray(pull.evaluate(-reach))  # (C, tendons)

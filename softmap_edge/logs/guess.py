@@ -301,8 +301,8 @@ def _home_in_ticks(rows: Array) -> str:
     low, high = np.nanmin(rows, axis=0), np.nanmax(rows, axis=0)
     middle = ", ".join(f"{-m:.0f}" for m in 0.5 * (low + high))
     return (
-        "home: the ticks at which the robot rests. Effects such as gain, play and slack count from 0, so put home into "
-        f"offset of command, with the sign changed; if home is the middle of each range: offset = [{middle}]"
+        "home: the ticks at which the robot rests. Effects such as gain, play and slack count from there. The middle "
+        f"of each range is taken, as with offset = [{middle}]; if the robot rests elsewhere, give offset of command"
     )
 
 

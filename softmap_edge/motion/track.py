@@ -35,7 +35,7 @@ LEAD = 2.0  # s of the way from rest to the figure, at least
 SENT = 100.0  # commands a second
 SETTLED = 1.5  # s after engaging and after the figure
 ARRIVED = 0.3  # s after the figure until all that was seen of it has arrived
-PROBE = (0.5, 3.0)  # mm and s of the move that measures the servos
+PROBE = (140.0, 3.0)  # ticks and s of the move that measures the servos
 AVERAGED = 0.2  # s over which what is seen to be off is averaged before it is fed back
 MOST_BACK = 5.0  # mm that feedback may add
 GONE = 0.5  # s without the tip after which it is not seen
@@ -156,7 +156,8 @@ def track(
     robot.engage(home)
     say = progress or (lambda what, share: None)
     _play(robot, lambda t: home, SETTLED)
-    _play(robot, lambda t: home + _probe(t, len(home)), PROBE[1] + SETTLED, partial(say, "measuring servos"))
+    slope = robot.calibration.A  # command a tick
+    _play(robot, lambda t: home + slope @ _probe(t, len(home)), PROBE[1] + SETTLED, partial(say, "measuring servos"))
     told = _meanwhile(robot, home, partial(_response, robot.recording))
     robot.check_recorded()  # what broke off measured nothing
     delay, lag = told or (0.0, 0.0)
@@ -216,6 +217,7 @@ def _response(recording: Path) -> tuple[float, float] | None:
 
 
 def _probe(t: float, channels: int) -> Floats:
+    """Return how far (C,) ticks each servo turns from home at `t` s of the move that measures them."""
     if t > PROBE[1]:
         return np.zeros(channels)
     rise = np.sin(np.pi * t / PROBE[1]) ** 2

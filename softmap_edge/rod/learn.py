@@ -33,9 +33,9 @@ from softmap_edge.rod.elastic_fit import fit_elastic, fit_for
 from softmap_edge.rod.polynomial import RodParameters, fit_polynomial
 from softmap_edge.rod.reference_run import Fitted, Number, Rod, Seen, observe
 from softmap_edge.rod.regression import rms
-from softmap_edge.run import Run
+from softmap_edge.run import HOME_TICKS, Run
 from softmap_edge.safety import derived
-from softmap_edge.ticks import commanded_in_ticks
+from softmap_edge.ticks import from_home
 
 if TYPE_CHECKING:
     from softmap_edge.rod.robot import Robot
@@ -198,7 +198,7 @@ def _notes(seen: Seen, fitted: Fitted, error: float, gap_s: float) -> tuple[str,
     commands, stray = seen.drive.commands, seen.stray
     for c in np.flatnonzero(np.ptp(commands, axis=0) == 0):
         notes.append(f"command {c + 1} stays at {commands[0, c]:g} {unit}: the rod does not know what it does")
-    notes += [*_dependent(commands, unit), *_turned(seen.runs), *_from_home(commands, unit)]
+    notes += [*_dependent(commands, unit), *_turned(seen.runs), *_from_home(commands, seen.runs[0])]
     notes += [*_apart(commands), *_flat(seen.runs), *_short(seen, fitted, gap_s)]
     if error > USELESS * stray:
         notes.append(
@@ -278,8 +278,15 @@ def _rest(reach: Floats) -> Floats:
     return np.where((home > reach[:, 0]) & (home < reach[:, 1]), home, 0.0)
 
 
-def _from_home(commands: Floats, unit: str) -> list[str]:
-    """Return a sentence if the commands are not counted from home."""
+def _from_home(commands: Floats, run: Run) -> list[str]:
+    """Return a sentence if the commands are not counted from home, or from a home that was assumed."""
+    unit, assumed = run.command_unit, run.extra.get(HOME_TICKS)
+    if assumed is not None and assumed.any():
+        ticks = ", ".join(f"{h:.0f}" for h in assumed)
+        return [
+            f"commands count ticks from home, which is taken to be {ticks}, the middle of their ranges; where the "
+            "robot rests at other ticks, subtract those in the mapping (`offset`)"
+        ]
     reach = np.stack([commands.min(axis=0), commands.max(axis=0)], axis=1)
     home = _rest(reach)
     far = np.flatnonzero(home)
@@ -346,7 +353,7 @@ def learn_model(
 
 def learned_model(runs: Run | Sequence[Run], learned: LearnedRod) -> Model:
     """Return the model of a rod that was learned from `runs`."""
-    together = [commanded_in_ticks(run) for run in ([runs] if isinstance(runs, Run) else runs)]
+    together, counted = from_home([runs] if isinstance(runs, Run) else runs)
     run, markers = together[0], len(learned.per_marker_mm)
     rod = learned.rod.compiled()
     commands = np.concatenate([one.commands(learned.input) for one in together])
@@ -365,6 +372,7 @@ def learned_model(runs: Run | Sequence[Run], learned: LearnedRod) -> Model:
         command_range=reach,
         robot=run.robot or str(learned.made_from.get("robot", "robot")),
         command_unit=run.command_unit,
+        calibration=counted,
         input=learned.input,
         output=run.output,
         made_from=learned.made_from,

@@ -14,7 +14,7 @@ from softmap_edge.errors import RunError
 from softmap_edge.folds import Folds
 from softmap_edge.rod.regression import SQUARES, Basis, Drive, Record, rms
 from softmap_edge.run import Run, Source, known
-from softmap_edge.ticks import commanded_in_ticks
+from softmap_edge.ticks import from_home
 
 if TYPE_CHECKING:
     from softmap_edge.output import Output
@@ -149,7 +149,7 @@ class Fitted:
 
 def observe(runs: Sequence[Run], input: Source | None, hold_out: Sequence[tuple[float, float]], rate_hz: float) -> Seen:
     """Return the frames to learn from; raise RunError where a run lacks markers, commands or motion."""
-    runs = tuple(_in_scale(commanded_in_ticks(run), runs[0].output) for run in runs)
+    runs = tuple(_in_scale(run, runs[0].output) for run in from_home(runs)[0])
     if len({run.hash() for run in runs}) < len(runs):
         raise RunError("the same run is given twice, and its noise would count as half; give each recording once")
     source: Source = input or ("goal" if any(run.present is None for run in runs) else "present")
