@@ -36,9 +36,11 @@ SPOOL_RADIUS = "spool_radius_mm"  # the field in which an import keeps the radiu
 NOT_SEEN = "not_seen"  # the field that marks the search for places that stand for "not seen" as done or switched off
 PIECES = ("piece_origin", "piece_row", "piece_frame", "piece_shift_s")  # fields of a run that was cut or joined
 HOME_TICKS = "home_ticks"  # the field with the ticks at home (C,) of a run whose commands count ticks from there
+CALIBRATION = "calibration"  # the field with the map (JSON) by which a control loop turned commands into `ticks`
+DAMAGE = "damage"  # the field with a sentence on what the recording lacks of which the run was made
 # Fields of `extra` that our own verbs write.
 OURS = {BASE_MARKERS, SPOOL_RADIUS, ROLL_SEEN, NOT_SEEN, PLANE, HOME_TICKS, "made_by", "made_from", "marker_labels"}
-OURS |= set(PIECES)
+OURS |= {CALIBRATION, DAMAGE, *PIECES}
 
 
 def _load(path: str | os.PathLike[str], limit: int = MAX_BYTES) -> Run:

@@ -9,6 +9,7 @@ A calibration is somebody else's file: shapes, finiteness, size and whether A ha
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass, replace
@@ -20,7 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from softmap_edge.errors import CalibrationError
 from softmap_edge.home_command import home_command
-from softmap_edge.run import HOME_TICKS, Run
+from softmap_edge.run import CALIBRATION, HOME_TICKS, Run
 
 Floats = NDArray[np.float64]
 
@@ -216,16 +217,21 @@ def converted(model: Any, run: Run) -> Run:
     """Return the run with its ticks as commands, by the calibration of the model; unchanged if either is missing.
 
     Args:
-        model: with or without a `calibration`; or learned from ticks, which it takes as commands.
+        model: with a `calibration`; or without, then that of the loop that drove the robot counts, if the run holds
+            it; or in ticks, which it takes as commands.
         run: `ticks` become `command`, `present_ticks` become `present` unless the run has that; the measured points are
             the same array.
 
     Raises:
-        CalibrationError: the run has another number of servos than the calibration.
+        CalibrationError: the run has another number of servos than the calibration, or its own is none.
     """
     calibration: Calibration | None = getattr(model, "calibration", None)
+    unit = getattr(model, "command_unit", "mm")
+    if calibration is None and unit == TICKS:
+        return commanded_in_ticks(run)
+    calibration = calibration or _driven_by(run, unit)
     if calibration is None:
-        return commanded_in_ticks(run) if getattr(model, "command_unit", "mm") == TICKS else run
+        return run
     run = held_in_ticks(run)
     if run.ticks is None and (run.present_ticks is None or run.present is not None):
         return run
@@ -235,6 +241,18 @@ def converted(model: Any, run: Run) -> Run:
             "a run of another robot"
         )
     return _commanded(run, calibration)
+
+
+def _driven_by(run: Run, unit: str) -> Calibration | None:
+    """Return the map by which the robot was driven, if a run in ticks holds it and it gives commands in `unit`."""
+    kept = run.extra.get(CALIBRATION)
+    if kept is None or (run.ticks is None and run.present_ticks is None) or kept.dtype.kind != "U" or kept.size != 1:
+        return None
+    try:
+        found = Calibration.from_dict(json.loads(str(kept.reshape(-1)[0])))
+    except (ValueError, RecursionError):
+        raise CalibrationError(f"the field `{CALIBRATION}` of the run is no calibration; leave it out") from None
+    return found if found.unit == unit else None
 
 
 def _commanded(run: Run, calibration: Calibration) -> Run:

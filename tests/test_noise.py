@@ -256,3 +256,18 @@ def test_check_and_compare_report_one_noise():
     assert noise_of_points(run).mm == number
     text = next(w["text"] for w in summary(run)["can_tell"] if w["about"] == "noise")
     assert f"the noise is {number:.2g} mm" in text
+
+
+@pytest.mark.parametrize(("share", "seed"), [(0.03, 1), (0.1, 2), (0.2, 3), (0.3, 4)])
+def test_points_that_are_hidden_at_times_leave_the_noise_as_it_is(share, seed):
+    """Five markers of a finger that visits places again; a hidden one is not where others were seen in between."""
+    rng, model = np.random.default_rng(seed), builtin_model()
+    places = 8.0 * np.array([[0, 0], [1, 0], [0, 0], [0, 1], [-1, 0], [0, 0], [0, -1], [1, 0], [0, 0]])
+    goal = np.repeat(np.tile(places, (2, 1)), 6, axis=0)
+    t = 0.7 * np.arange(len(goal))
+    blank = Run(t=t, command=goal, t_seen=t, robot=model.robot)
+    points = model.predict(blank)[:, np.linspace(0, len(model.rest) - 1, 5).astype(int)]
+    run = replace(blank, markers=points + rng.normal(0.0, 0.3, points.shape))
+    hidden = replace(run, visible=rng.random(points.shape[:2]) > share)
+    assert noise_of_points(hidden).mm == pytest.approx(noise_of_points(run).mm, rel=0.15)
+    assert noise_of_points(run).mm == pytest.approx(0.3 * np.sqrt(3.0), rel=0.15)

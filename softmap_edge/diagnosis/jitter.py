@@ -134,8 +134,8 @@ def coordinates(values: Floats, seen: Floats, positions: Mask, modes: Floats, wh
     """Return the coordinates of values (n, F) of frames whose features are `seen` (n, F).
 
     Args:
-        values: deviations (n, F), mm.
-        seen: features (n, F), mm; they give the displacement by a turn.
+        values: deviations (n, F), mm; NaN counts for nothing.
+        seen: features (n, F), mm, all finite; they give the displacement by a turn.
         positions: (V,), which features are places.
         modes: (b, F), from `commanded_modes`.
         white: variance (F,) mm² that weights the features.
@@ -143,11 +143,12 @@ def coordinates(values: Floats, seen: Floats, positions: Mask, modes: Floats, wh
     along = np.broadcast_to(modes.T, (len(values), *modes.T.shape))
     columns = np.concatenate([rigid(seen, positions), along], axis=2)  # (n, F, 6 + b)
     scale = np.maximum(np.sqrt(np.mean(columns**2, axis=(0, 1))), 1e-12)
-    weighted = columns / scale / np.sqrt(white)[:, None]
+    known = np.isfinite(values)
+    weighted = columns / scale / np.sqrt(white)[:, None] * known[:, :, None]
     prior = np.r_[np.full(RIGID, RIGIDLY), np.full(len(modes), FARTHEST)] ** -2.0
     gram = np.swapaxes(weighted, 1, 2) @ weighted + np.diag(prior)
     inverse = np.linalg.solve(gram, np.swapaxes(weighted, 1, 2))  # (n, 6 + b, F)
-    found = np.einsum("nmf,nf->nm", inverse, values / np.sqrt(white)) / scale
+    found = np.einsum("nmf,nf->nm", inverse, np.where(known, values, 0.0) / np.sqrt(white)) / scale
     covariance = inverse @ np.swapaxes(inverse, 1, 2) / np.outer(scale, scale)
     return Coordinates(found, covariance, columns)
 
@@ -194,7 +195,7 @@ def frame_jitter(
     if revisits < REVISITS:
         return None
     rows, pose = _thinned(groups)
-    apart, shapes = (_about(filled(every)[rows], pose) for every in (values, seen))
+    apart, shapes = (_about(every[rows], pose) for every in (values, seen))
     found = coordinates(apart[0], shapes[1], positions, modes, white)
     root = _root(found.white[:, :RIGID, :RIGID].mean(axis=0), shapes[1])
     flat = np.linalg.solve(root, found.rigid.T).T  # white part of unit variance
@@ -231,9 +232,15 @@ def _thinned(groups: Sequence[Sequence[NDArray[np.intp]]]) -> tuple[NDArray[np.i
 
 
 def _about(values: Floats, pose: Ints) -> tuple[Floats, Floats]:
-    """Return values (n, F) about the mean of their pose, and that mean (n, F)."""
-    mean = np.stack([values[pose == p].mean(axis=0) for p in range(int(pose.max()) + 1)])[pose]
-    return values - mean, mean
+    """Return values (n, F) about the mean of their pose, NaN where unseen, and that mean (n, F), all finite."""
+    known = np.isfinite(values)
+    each = [(np.where(known, values, 0.0)[at].sum(axis=0), known[at].sum(axis=0)) for at in _each(pose)]
+    mean = np.stack([np.where(count > 0, total / np.maximum(count, 1), np.nan) for total, count in each])
+    return values - mean[pose], filled(mean)[pose]
+
+
+def _each(pose: Ints) -> list[Mask]:
+    return [pose == p for p in range(int(pose.max()) + 1)]
 
 
 def _detrending(t: Floats, pose: Ints, run: Ints) -> Floats:

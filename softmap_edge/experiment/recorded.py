@@ -22,7 +22,7 @@ from softmap_edge.experiment.kept import read_kept, seen_file
 from softmap_edge.model import Model
 from softmap_edge.run import Run
 from softmap_edge.servo.recording import Recording, read_recording
-from softmap_edge.ticks import TICKS
+from softmap_edge.ticks import TICKS, converted
 
 RECORDING = ".mcap"
 
@@ -83,17 +83,8 @@ def run_of(told: Recording, model: Model | None = None) -> Run:
     """
     beside = seen_file(told.file)
     run = _seen(told, beside) if beside.exists() else told.run()
-    if model is None or model.calibration is not None or model.command_unit == TICKS or run.ticks is None:
-        return run
-    known, present = told.calibration, run.present_ticks
-    return replace(
-        run,
-        command=known.commands(run.ticks),
-        present=None if present is None else known.commands(present),
-        command_unit=known.unit,
-        ticks=None,
-        present_ticks=None,
-    )
+    kept = model is None or model.calibration is not None or model.command_unit == TICKS
+    return run if kept else converted(model, run)
 
 
 def _seen(told: Recording, beside: Path) -> Run:

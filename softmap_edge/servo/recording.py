@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from softmap_edge import _core
 from softmap_edge.errors import CalibrationError, RunError, SoftmapError
-from softmap_edge.run import Run
+from softmap_edge.run import CALIBRATION, DAMAGE, Run
 from softmap_edge.servo import words
 from softmap_edge.servo.recording_damage import find_shortfall
 from softmap_edge.ticks import Calibration
@@ -123,7 +123,14 @@ class Recording:
             present_ticks=columns["position"].astype(np.int64),
             current=None if np.isnan(current).any() else current,
             temperature=columns["temperature_C"].max(axis=1),
+            extra=self._about(),
         )
+
+    def _about(self) -> dict[str, NDArray[Any]]:
+        """Return the fields of a run with the map that was driven with, and with what the recording lacks."""
+        known = self.setup.get("calibration")
+        about = {} if known is None else {CALIBRATION: np.array(json.dumps(known))}
+        return about if self.incomplete is None else about | {DAMAGE: np.array(str(self.incomplete))}
 
     @property
     def calibration(self) -> Calibration:
@@ -143,18 +150,25 @@ class Recording:
         Raises:
             RunError: a period is not of this form.
         """
-        told = []
+        told, servos = [], None
         for k, period in enumerate(self.periods):
             try:
+                servos = _servos(period, servos)
                 told.append(_told(period))
-                forms = [type(period[key]) for key in ("state", "cause", "torque", "goal", "now")]
-                if forms != [str, str, bool, list, int]:
-                    raise TypeError("state")
-                if len(period["goal"]) != len(self.periods[0]["goal"]):
-                    raise ValueError("goal")
             except (ValueError, KeyError, TypeError, AttributeError, IndexError) as fault:
                 raise RunError(f"{self.file}: period {k} is damaged ({fault!s:.40}); record again") from None
         return told
+
+
+def _servos(period: Document, servos: int | None) -> int:
+    """Return the number of servos of a period; raise where it is not of the form of one, or of another number."""
+    _told(period)
+    forms = [type(period[key]) for key in ("state", "cause", "torque", "goal", "now")]
+    if forms != [str, str, bool, list, int]:
+        raise TypeError("state")
+    if servos is not None and len(period["goal"]) != servos:
+        raise ValueError("goal")
+    return len(period["goal"])
 
 
 def _told(period: Document) -> tuple[Any, ...]:
@@ -206,13 +220,19 @@ def read_recording(path: str | Path) -> Recording:
 
 
 def _documents(messages: list[tuple[str, int, bytes]]) -> tuple[list[tuple[str, Any]], str | None]:
-    """Return topic and document of each message before the first that is no JSON, and what is said of that one."""
-    found = []
+    """Return topic and document of each message before the first that is none, and what is wrong with that one."""
+    found: list[tuple[str, Any]] = []
+    servos = None
     for topic, _, message in messages:
         try:
-            found.append((topic, json.loads(message)))
+            document = json.loads(message)
         except (ValueError, RecursionError) as fault:
             return found, f"damaged (message {len(found)} is no JSON: {fault!s:.40}); record again"
+        try:
+            servos = _servos(document, servos) if topic == LOOP else servos
+        except (ValueError, KeyError, TypeError, AttributeError, IndexError) as fault:
+            return found, f"damaged (message {len(found)} is no period of a loop: {fault!s:.40}); record again"
+        found.append((topic, document))
     return found, None
 
 
