@@ -19,13 +19,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.errors import RunError
-from softmap_edge.logs.readers.cells import find_delimiter, is_number, split
+from softmap_edge.logs.readers.cells import find_delimiter, is_number, is_plain, split
 from softmap_edge.logs.readers.columns import Array, Cells
 from softmap_edge.logs.readers.header import LINES, Table, find_table, widths_of
 from softmap_edge.logs.readers.words import EMPTY, Words, is_text, is_word
 from softmap_edge.logs.time_text import TimeText, TimeTextError, time_text_of
-
-__all__ = ["LIMIT", "LONGEST", "TextColumns", "find_delimiter", "first_lines", "is_number", "open_text", "split"]
 
 LIMIT = 2**30  # bytes of one log: about 5 million rows of 16 columns
 LONGEST = 2**20  # characters of one line: 50 000 columns
@@ -248,16 +246,14 @@ class TextColumns:
     def _number(self, cell: str, line: int, column: int) -> float:
         if cell.lower() in EMPTY:
             return np.nan
-        try:
-            return float(cell.replace(",", ".") if self.decimal == "," else cell)
-        except ValueError:
-            if is_word(cell):
-                self.words.take(cell, column, line)
-                return np.nan
-            hint = '; set decimal = "," in the mapping' if "," in cell else ""
-            raise RunError(
-                f"{self.path}: line {line}, column {self.names[column]}: '{cell[:40]}' is not a number{hint}"
-            ) from None
+        plain = cell.replace(",", ".") if self.decimal == "," else cell
+        if is_plain(plain):
+            return float(plain)
+        if is_word(cell):
+            self.words.take(cell, column, line)
+            return np.nan
+        hint = '; set decimal = "," in the mapping' if "," in cell else ""
+        raise RunError(f"{self.path}: line {line}, column {self.names[column]}: '{cell[:40]}' is not a number{hint}")
 
 
 # --- the head ------------------------------------------------------------------------------
