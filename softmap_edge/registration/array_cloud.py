@@ -15,21 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.errors import RegistrationError, brief
+from softmap_edge.npz import MOST_ARRAYS, check_directory
 from softmap_edge.registration.columns import choose
 
 Floats = NDArray[np.float64]
 
 MOST_BYTES = 256 << 20  # of an array; ten million points
 _ROWS = 2000  # from which columns are decided
-
-
-def names_in(path: Path) -> list[str]:
-    """Return the names of the arrays in an archive; none if the file is no archive."""
-    try:
-        with zipfile.ZipFile(path) as archive:
-            return [name.removesuffix(".npy") for name in archive.namelist()]
-    except Exception:  # zipfile raises a dozen kinds on damaged files; the reader of the arrays reports it
-        return []
 
 
 def read_npy(path: Path, notes: list[str]) -> Floats:
@@ -85,16 +77,21 @@ def _check_one(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
 
 def _arrays(path: Path) -> dict[str, NDArray[Any]]:
     try:
+        check_directory(path, RegistrationError)
         with zipfile.ZipFile(path) as archive:
             entries = archive.infolist()
             total = sum(entry.file_size for entry in entries)
-            if total > MOST_BYTES or len(entries) > 1000:
-                raise ValueError(f"{len(entries)} arrays of {total} bytes, at most {MOST_BYTES} are read")
+            if total > MOST_BYTES or len(entries) > MOST_ARRAYS:
+                raise ValueError(
+                    f"{len(entries)} arrays of {total} bytes, at most {MOST_ARRAYS} of {MOST_BYTES} bytes are read"
+                )
             found = {}
             for entry in entries:
                 with archive.open(entry) as stream:
                     found[entry.filename.removesuffix(".npy")] = _array(stream, entry.file_size)
             return found
+    except RegistrationError:
+        raise
     except Exception as fault:
         raise RegistrationError(f"{path}: not a readable .npz archive ({brief(fault)}); save it again") from None
 
