@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from softmap_edge.errors import RunError, brief
 from softmap_edge.logs.readers.mcap_account import Account, Lost
+from softmap_edge.logs.readers.packed import ZSTD_WINDOW
 from softmap_edge.mcap_records import (
     CHANNEL,
     CHUNK,
@@ -35,7 +36,6 @@ if TYPE_CHECKING:
     from mcap.records import Channel, Message, Schema
 
 _LARGEST = 2**28  # bytes of one chunk when unpacked; writers use 1 to 16 MB
-_WINDOW = 2**27  # bytes that zstd may look back
 
 
 class Bad(ValueError):
@@ -208,7 +208,7 @@ def _unpack(chunk: Chunk) -> bytes:
     if chunk.compression == "zstd":
         import zstandard
 
-        unpacker = zstandard.ZstdDecompressor(max_window_size=_WINDOW)
+        unpacker = zstandard.ZstdDecompressor(max_window_size=ZSTD_WINDOW)
         with unpacker.stream_reader(io.BytesIO(chunk.data)) as stream:
             return bytes(stream.read(chunk.size + 1))
     if chunk.compression == "lz4":
