@@ -53,7 +53,8 @@ def _opened(path: Path, what: str, parse: Callable[[Path], Answer]) -> ArrayColu
     try:
         return columns_of_arrays(path, answer.arrays, answer.document["texts"], left_out=left_out)
     except RunError as fault:
-        raise RunError(f"{fault}; {_EXPORT}" if "object" in str(fault) else str(fault)) from None
+        opaque = any("an object" in entry for entry in left_out)
+        raise RunError(f"{fault}; {_EXPORT}" if opaque else str(fault)) from None
 
 
 class _Found:
