@@ -270,11 +270,11 @@ def _refuse_falls(path: Path, where: str, t: Array, cells: Cells, row: NDArray[n
 def _way_out(t: Array, row: NDArray[np.int64], at: int, jump: Jump | None) -> str:
     if jump is not None and jump.period_s is not None:
         return f'the clock rolls over at {jump.period} ({jump.period_s:.10g} s): set time.jumps = "mend" to count on'
-    cut = f"or import the log in two parts, to_row = {row[at] - 1} and from_row = {row[at]}"
+    cut = f"import the log in two parts, to_row = {row[at] - 1} and from_row = {row[at]}"
     if jump is not None:
         return (
             f'the clock was set back by about {_usual(t) - jump.size_s[0]:.6g} s: set time.jumps = "mend" to take the '
-            f"step out, {cut}"
+            f"step out, or {cut}"
         )
     ways = []
     lost = int((~increasing(t)).sum())
@@ -284,7 +284,7 @@ def _way_out(t: Array, row: NDArray[np.int64], at: int, jump: Jump | None) -> st
         ways.append('set time.repeated = "spread" to place rows of one time evenly up to the next')
     if not ways:
         ways = ["the rows are not in the order of time: choose another column", cut]
-    return ", or ".join(ways).replace(", or or ", ", or ")
+    return ", or ".join(ways)
 
 
 def spread(t: Array) -> Array:
