@@ -270,7 +270,9 @@ def _rest(t_seen: Array, fields: dict[str, Any], mapping: Mapping, notes: list[s
         return
     low, high = mapping.marker_rest_s
     if mapping.marker_rest_mm is not None or fields.get("markers") is None:
-        raise RunError(f"{mapping.path}: marker_rest_s wants markers, and no marker_rest_mm beside it")
+        raise RunError(
+            f"{mapping.path}: marker_rest_s needs markers, and marker_rest_mm gives the same; leave marker_rest_s out"
+        )
     straight = np.asarray(fields["markers"])[(t_seen >= low) & (t_seen <= high)]
     known = np.isfinite(straight).all(axis=2)
     if not len(straight) or not known.any(axis=0).all():
