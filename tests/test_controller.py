@@ -315,7 +315,7 @@ def test_servos_that_are_not_as_said_are_refused():
             Controller(rig, calibration(), limits).__enter__()
         set_up(bus.path)
         other = Rig(rig.port, rig.baud, (RigServo(1, "XM430-W210", HOME), rig.servos[1]))
-        with pytest.raises(ServoError, match=r"servo 1: it is XL330-M288 \(1200\), the rig says XM430-W210"):
+        with pytest.raises(ServoError, match=r"servo 1: it is XL330-M288 \(1200\), the rig lists XM430-W210"):
             Controller(other, calibration(), limits).__enter__()
         absent = Rig(rig.port, rig.baud, (RigServo(7, "XL330-M288", HOME), rig.servos[1]))
         with pytest.raises(
