@@ -258,7 +258,7 @@ def test_a_loop_that_dies_or_freezes_is_released_from_here(program, how):
     os.kill(loop, how)
     until(lambda: not torque(bus), 2.0)
     user.wait(10)
-    assert b"in state fault (the control loop died or froze); begin anew" in user.stderr.read()
+    assert b"in state fault (the control loop died or froze); begin again" in user.stderr.read()
 
 
 def test_with_nobody_left_the_watchdogs_stop_and_hold_and_the_next_start_says_so(program):
