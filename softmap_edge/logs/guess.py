@@ -79,7 +79,7 @@ def guess_mapping(paths: Sequence[str | os.PathLike[str]]) -> Guess:
     rows = max((len(sheet.numbers) for sheet in sheets), default=0)
     if rows < 2:
         names = ", ".join(path.name for path in files)
-        raise RunError(f"{names}: {rows} row{'s' * (rows != 1)} of numbers; give the log of a whole recording")
+        raise RunError(f"{names}: {rows} row{'s' * (rows != 1)} of numbers; give the log of a complete recording")
     for k, sheet in enumerate(sheets):
         if not sheet.header:
             found.assumed.append(f"columns of {_called(sheet)}: no line names them, so they are numbers from 0")
@@ -239,7 +239,7 @@ def _find_drives(sheets: list[Sheet], found: Found) -> None:
         found.command = presents.pop(0)
         found.assumed.append("commands: none is named so; what the encoders read stands for them")
     if found.command is None:
-        found.unknown.append("what was commanded: nothing is named so; effects of the drive cannot be told")
+        found.unknown.append("what was commanded: nothing is named so; effects of the drive cannot be identified")
         return
     width = len(found.command[1].columns)
     fits = [pair for pair in presents if len(pair[1].columns) == width]
@@ -247,7 +247,9 @@ def _find_drives(sheets: list[Sheet], found: Found) -> None:
     sheet, role = found.command
     found.assumed.append(f"commands: {width} columns of {_called(sheet)}, {role.why}, in the order of the file")
     if not role.sure and found.present is None:
-        found.assumed.append("commands: goals, or what the servos read, is not said; either drives the model")
+        found.assumed.append(
+            "commands: the log does not state whether they are goals or positions that the servos read; either works"
+        )
     if found.present is not None:
         found.assumed.append(f"encoders: {width} columns of {_called(found.present[0])}, {found.present[1].why}")
     for pair in roles:
