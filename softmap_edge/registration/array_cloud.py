@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.errors import RegistrationError, brief
-from softmap_edge.npz import MOST_ARRAYS, check_directory
+from softmap_edge.npz import MOST_ARRAYS, OBJECTS, array_header, check_directory
 from softmap_edge.registration.columns import choose
 
 Floats = NDArray[np.float64]
@@ -101,18 +101,14 @@ def _array(stream: IO[bytes], size: int) -> NDArray[Any]:
     if size > MOST_BYTES:
         raise ValueError(f"{size} bytes, at most {MOST_BYTES} are read")
     content = io.BytesIO(stream.read(size + 1))
-    version = np.lib.format.read_magic(content)
-    read = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
-    if version not in read:
-        raise ValueError(f"array format {version}")
-    shape, fortran, dtype = read[version](content)
-    if dtype.hasobject:
-        raise ValueError("it holds Python objects, which are never read")
+    head = array_header(content)
+    if head.dtype.hasobject:
+        raise ValueError(OBJECTS)
     there = len(content.getbuffer()) - content.tell()
-    if any(n < 0 for n in shape) or int(np.prod(shape, dtype=object)) * dtype.itemsize != there:
-        raise ValueError(f"shape {shape} of {dtype} does not fit the {there} bytes that are there")
-    array = np.frombuffer(content.getbuffer(), dtype, offset=content.tell()) if there else np.zeros(0, dtype)
-    return array.reshape(shape, order="F" if fortran else "C")
+    if head.bytes != there:
+        raise ValueError(f"shape {head.shape} of {head.dtype} does not fit the {there} bytes that are there")
+    array = np.frombuffer(content.getbuffer(), head.dtype, offset=content.tell()) if there else np.zeros(0, head.dtype)
+    return array.reshape(head.shape, order="F" if head.fortran else "C")
 
 
 def _points(array: NDArray[Any], path: Path, what: str, notes: list[str]) -> Floats:
