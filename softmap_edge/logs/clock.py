@@ -121,7 +121,7 @@ def times_of(path: Path, where: str, cells: Cells, t: Array, clock: Clock) -> Ti
 
 
 def kept(cells: Cells, keep: NDArray[np.bool_]) -> Cells:
-    """Return some of the rows."""
+    """Return the rows (rows,) to `keep`."""
     labels = None if cells.labels is None else cells.labels[keep]
     return replace(cells, numbers=cells.numbers[keep], labels=labels, lines=cells.lines[keep])
 
@@ -232,7 +232,11 @@ def _usual(t: Array) -> float:
 
 
 def set_forward(t: Array, cells: Cells, clock: Clock) -> Jump | None:
-    """Return the one leap of a clock that was set forward: the values go on as if no time had passed; else None."""
+    """Return the one leap of a clock that was set forward: the values go on as if no time had passed; else None.
+
+    Args:
+        t: (rows,) s. cells: the columns of these rows. clock: the time that the mapping declares.
+    """
     step = np.diff(t)
     if len(step) < 2 * _NEAR or (step <= 0).any():
         return None

@@ -237,7 +237,16 @@ def _tell_dropouts(visible: NDArray[np.bool_], labels: tuple[str, ...], notes: l
 
 
 def choose_frames(t: Array, t_seen: Array, fields: dict[str, Any], mapping: Mapping, notes: list[str]) -> Array:
-    """Drop frames outside the commands and the wished interval, thin to the wished rate, cut into blocks.
+    """Drop frames outside the commands and the interval of the mapping, thin to its rate, cut into blocks.
+
+    Args:
+        t: (T,) s, of the commands. t_seen: (K,) s, of the frames.
+        fields: the fields of the run; those with an entry for each frame are thinned.
+        mapping: gives interval, rate and blocks.
+        notes: receives a sentence for each change.
+
+    Returns:
+        Array: the times s of the frames that are kept.
 
     Raises:
         RunError: no frame is left.
@@ -258,7 +267,7 @@ def choose_frames(t: Array, t_seen: Array, fields: dict[str, Any], mapping: Mapp
             "were dropped"
         )
     if mapping.seen_rate_hz is not None and len(keep) > 1:
-        # the first frame at or after each tick of the wished clock: even where the log's own clock jitters
+        # the first frame at or after each tick of the clock asked for: even where the log's own clock jitters
         tick = np.floor((t_seen[keep] - t_seen[keep[0]]) * mapping.seen_rate_hz + 1e-6)
         thinned = keep[np.r_[True, np.diff(tick) > 0]]
         notes.append(f"{len(thinned)} of {len(keep)} frames kept for {mapping.seen_rate_hz:g} Hz")

@@ -70,7 +70,7 @@ class LogTable:
         return self.units.get(self.names[place(self.path, self.names, column)])
 
     def rows(self, keep: NDArray[np.bool_]) -> LogTable:
-        """Return the same with some of its rows."""
+        """Return the same with the rows (rows,) to `keep`."""
         values = {k: column[keep] for k, column in self.values.items()}
         return replace(self, t=self.t[keep], values=values, labels=None if self.labels is None else self.labels[keep])
 

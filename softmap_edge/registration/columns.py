@@ -126,7 +126,7 @@ def _by_values(sample: Floats, label: str, why: str) -> tuple[Triple, str]:
 
 
 def no_coordinates(sample: Floats) -> dict[int, str]:
-    """Return the columns that cannot be coordinates, each with the reason; three are left where possible."""
+    """Return the columns of a sample (M, C) that cannot be coordinates, with the reason; three are left if possible."""
     rows, count = sample.shape
     known = np.isfinite(sample)
     sample = np.clip(sample, -1e12, 1e12)  # damaged values must not overflow

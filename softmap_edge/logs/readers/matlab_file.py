@@ -77,7 +77,7 @@ class _Found:
             )
 
     def number(self, count: int) -> None:
-        """Count numbers before they are read."""
+        """Count numbers before they are read; raise RunError where a file holds too many."""
         self.numbers += count
         if self.numbers > MOST:
             raise RunError(f"{self.path}: holds more than {MOST} numbers; save the signals of the log alone")
@@ -94,7 +94,7 @@ class _Found:
 
 # --- v4 to v7, in the child ----------------------------------------------------------------
 def read_v7(path: Path) -> Answer:
-    """Read every array of numbers of a MATLAB file; runs in the child."""
+    """Read every array of numbers of a MATLAB file; runs in the child. Raises RunError as `open_matlab`."""
     try:
         import scipy.io
     except ImportError:
@@ -170,7 +170,7 @@ def _cell_text(cell: Any) -> str | None:
 
 # --- HDF5, in the child --------------------------------------------------------------------
 def read_hdf5(path: Path) -> Answer:
-    """Read every array of numbers of an HDF5 file; runs in the child."""
+    """Read every array of numbers of an HDF5 file; runs in the child. Raises RunError as `open_hdf5`."""
     try:
         import h5py
     except ImportError:

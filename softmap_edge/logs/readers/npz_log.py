@@ -118,7 +118,7 @@ def _sort(
 
 
 def seconds_of(times: NDArray[Any]) -> NDArray[np.float64]:
-    """Return dates (since 1970) or durations in s; NaN where there is none."""
+    """Return dates (since 1970) or durations of any shape in s; NaN where there is none."""
     absent = np.isnat(times)
     unit = f"{times.dtype.kind}8[ns]"
     seconds = times.astype(unit.replace("ns", "s"))
