@@ -1,10 +1,10 @@
-"""Turns the logs of any robot into a run, as told by a small TOML mapping (columns, units, axes, rates).
+"""Turn the logs of any robot into a run by a small TOML mapping (columns, units, axes, rates).
 
-`read_mapping(path)` checks the mapping, `import_logs(paths, mapping)` gives the run, what was done to it and what
-looks wrong, in plain words.
-Several logs are joined by time: the rows of the log that holds the commands become the rows of the run, everything
-else recorded beside them is interpolated to those times, and what was seen keeps its own times. A row without a
-command is left out (commands are linear between rows); a cell without a value in another column is interpolated.
+`read_mapping(path)` checks the mapping. `import_logs(paths, mapping)` returns the run, with a sentence for each change
+and for each suspicious finding.
+Several logs are joined by time. The rows of the log that holds the commands become the rows of the run. Other recorded
+signals are interpolated to their times; frames keep their own times. A row without a command is left out (commands are
+linear between rows); a cell without a value in another column is interpolated.
 tests/test_import*.py pin all of it; docs/mapping.md lists the keys.
 """
 

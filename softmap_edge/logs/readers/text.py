@@ -1,9 +1,10 @@
-"""Reads a delimited text log (CSV and its cousins) block by block; what cannot be read is named with its line.
+"""Read a delimited text log (CSV and its like) block by block; a cell that cannot be read is named with its line.
 
-Found by itself: where the table begins (`header.py`), its delimiter, a header that is a comment (as numpy writes it), a
-line of units, decimal commas, blank lines, empty cells at the end of rows, dates and times (`time_text.py`). Each block
-of lines goes through numpy's compiled reader, with empty cells as NaN; only where that stumbles are its lines read one
-by one, to say where. So a million rows of 16 columns need seconds and little more memory than their numbers
+The reader finds where the table begins (`header.py`), its delimiter, and a header that is a comment (as numpy writes
+it). It also finds a line of units, decimal commas, blank lines, empty cells at the end of rows, and dates and times
+(`time_text.py`). Each block of lines goes through numpy's compiled reader, with empty cells as NaN. If that fails, the
+lines are read one by one to find the fault. A million rows of 16 columns need seconds and little more memory than their
+numbers
 (tests/test_import_csv.py, `python -m benches.import_rows`).
 """
 
