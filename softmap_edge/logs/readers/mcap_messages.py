@@ -1,6 +1,7 @@
 """Read the messages of an MCAP file whose checksums match, and count the others.
 
-A chunk whose checksum, size or compression fails is left out, and those after it are still read. Pinned by
+A chunk whose checksum, size or compression fails is left out, and those after it are still read. A chunk without a
+checksum is left out where the checksum of all data fails. Pinned by
 tests/test_mcap_damage.py and tests/test_import_mcap.py.
 """
 
@@ -121,6 +122,8 @@ class Messages:
             items = list(split(data))
             if not all(fits(kind, body, len(body)) for kind, body in items if kind in (SCHEMA, CHANNEL, MESSAGE)):
                 raise Bad("its records do not fill it")
+            if chunk.crc == 0 and data and self._sound is False:
+                raise Bad("it carries no checksum, and that of the data does not match")
         except ValueError as fault:
             stated = {} if account.closing is None else account.closing.spans
             span = stated.get(record.start, (chunk.first, chunk.last))
