@@ -159,7 +159,7 @@ def check_folder(folder: Path) -> None:
         raise BundleError(f"{folder} exists and is not a bundle; choose another name or remove it") from None
     ours = {"manifest.json", *_FILES, *_named(manifest), *(f"{name}.py" for name in manifest.get("own_effects", {}))}
     if foreign := sorted({entry.name for entry in folder.iterdir()} - ours):
-        raise BundleError(f"{folder}: holds {foreign[0]} beside a bundle, which would be lost; take it out first")
+        raise BundleError(f"{folder}: holds {foreign[0]} next to a bundle, which would be lost; take it out first")
 
 
 def load_bundle(path: str | Path, trust: Trust | None = None, trust_onnx: bool | Trust = False) -> Model:
@@ -179,7 +179,7 @@ def load_bundle(path: str | Path, trust: Trust | None = None, trust_onnx: bool |
     manifest = load_manifest(folder)
     for name in (*_FILES, *_named(manifest), *(f"{name}.py" for name in manifest.get("own_effects", {}))):
         if not (folder / name).is_file():
-            raise BundleError(f"{folder.name}: {name} is missing; copy the whole bundle folder again")
+            raise BundleError(f"{folder.name}: {name} is missing; copy the complete bundle folder again")
         _check_size(folder / name)
         if name != SAFETY and _sha256(folder / name) != (manifest["sha256"] | _own_hashes(manifest)).get(name):
             raise BundleError(

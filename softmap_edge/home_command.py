@@ -19,5 +19,11 @@ def home_command(reach: ArrayLike) -> NDArray[np.float64]:
         from 0.
     """
     low, high = np.asarray(reach, float).reshape(-1, 2).T
-    far = (np.maximum(low, -high) > FAR * (high - low)) & (high > low)
-    return np.asarray(np.where(far, 0.5 * (low + high), np.clip(0.0, np.minimum(low, high), np.maximum(low, high))))
+    near = np.clip(0.0, np.minimum(low, high), np.maximum(low, high))
+    return np.asarray(np.where(far_from_home(reach), 0.5 * (low + high), near))
+
+
+def far_from_home(reach: ArrayLike) -> NDArray[np.bool_]:
+    """Return which channels (C,) are not counted from home: their range, of shape (C, 2), lies far from 0."""
+    low, high = np.asarray(reach, float).reshape(-1, 2).T
+    return np.asarray((np.maximum(low, -high) > FAR * (high - low)) & (high > low))

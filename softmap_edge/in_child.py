@@ -84,8 +84,10 @@ def in_child(function: Callable[..., Any], *args: Any, megabytes: int = 1000, se
 def _read(pipe: int, most: int, deadline: float) -> bytearray | None:
     """Return all that comes through a pipe, or None if it does not end in time or is too much."""
     content = bytearray()
+    poll = select.poll()  # `select` takes descriptors below 1024 only
+    poll.register(pipe, select.POLLIN)
     while (left := deadline - time.monotonic()) > 0.0 and len(content) <= most:
-        if select.select([pipe], [], [], left)[0]:
+        if poll.poll(1e3 * left):
             part = os.read(pipe, PAGE)
             if not part:
                 return content

@@ -157,7 +157,11 @@ def _grid(axes: Sequence[Floats]) -> Floats:
 
 
 def run_elsewhere(content: bytes, commands: Floats) -> Floats:
-    """Return what onnxruntime gives (n, M) for an ONNX file's `content` at commands (n, C)."""
+    """Return what onnxruntime gives (n, M) for an ONNX file's `content` at commands (n, C).
+
+    Raises:
+        BundleError: onnxruntime cannot run it, or it needs too much memory.
+    """
     import onnxruntime
 
     options = onnxruntime.SessionOptions()

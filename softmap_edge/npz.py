@@ -5,8 +5,9 @@ from __future__ import annotations
 import io
 import zipfile
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import IO, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,7 @@ from softmap_edge.whole_file import beside
 
 MAX_BYTES = 4 << 30
 MOST_ARRAYS = 1000
+OBJECTS = "it holds Python objects, which are never read"
 _MOST_DIRECTORY = 1 << 20  # bytes of an archive's table of contents; that of 1000 arrays has 0.1 MB
 _END, _END_BYTES, _LONGEST_COMMENT = b"PK\5\6", 22, 1 << 16  # of the record that ends an archive
 _ZIP64, _ZIP64_BYTES = b"PK\6\7", 20  # of what stands before that record in an archive of more than 4 GiB
@@ -107,6 +109,36 @@ def check_directory(path: Path, error: type[SoftmapError] = SoftmapError) -> Non
         )
 
 
+@dataclass(frozen=True)
+class ArrayHeader:
+    """The header of an array in NumPy's format: its shape, whether columns run first (Fortran), and its type."""
+
+    shape: tuple[int, ...]
+    fortran: bool
+    dtype: np.dtype[Any]
+
+    @property
+    def bytes(self) -> int:
+        """The size of the array; it may be larger than the file."""
+        return int(np.prod(self.shape, dtype=object)) * self.dtype.itemsize
+
+
+def array_header(stream: IO[bytes]) -> ArrayHeader:
+    """Read the header of an array in NumPy's format; the numbers follow in the stream.
+
+    Raises:
+        ValueError: another version of the format, a damaged header, or a negative length.
+    """
+    version = np.lib.format.read_magic(stream)
+    read = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
+    if version not in read:
+        raise ValueError(f"array format {version}")
+    shape, fortran, dtype = read[version](stream)
+    if any(n < 0 for n in shape):
+        raise ValueError(f"shape {shape}")
+    return ArrayHeader(shape, fortran, dtype)
+
+
 def packed(
     name: str, values: NDArray[np.float64], step: NDArray[np.float64] | float, kind: type
 ) -> dict[str, NDArray[Any]]:
@@ -139,23 +171,15 @@ def unpacked(arrays: Mapping[str, NDArray[np.generic]]) -> dict[str, NDArray[np.
 def _read_array(data: bytes, name: str, path: Path, error: type[SoftmapError]) -> NDArray[np.generic]:
     stream = io.BytesIO(data)
     try:
-        version = np.lib.format.read_magic(stream)
-        if version == (1, 0):
-            shape, _, dtype = np.lib.format.read_array_header_1_0(stream)
-        elif version == (2, 0):
-            shape, _, dtype = np.lib.format.read_array_header_2_0(stream)
-        else:
-            raise ValueError(f"array format {version}")
-        if dtype.hasobject:
-            raise ValueError("it holds Python objects, which are never read")
-        if any(n < 0 for n in shape):
-            raise ValueError(f"shape {shape}")
-        expected = int(np.prod(shape, dtype=object)) * dtype.itemsize
-        if expected != len(data) - stream.tell():
-            raise ValueError(f"shape {shape} of {dtype} needs {expected} bytes, {len(data) - stream.tell()} are there")
+        head = array_header(stream)
+        if head.dtype.hasobject:
+            raise ValueError(OBJECTS)
+        there = len(data) - stream.tell()
+        if head.bytes != there:
+            raise ValueError(f"shape {head.shape} of {head.dtype} needs {head.bytes} bytes, {there} are there")
         stream.seek(0)
         array: NDArray[np.generic] = np.asarray(np.lib.format.read_array(stream, allow_pickle=False), order="C")
-        if dtype.kind == "U" and array.size and int(_code_points(array).max(initial=0)) > 0x10FFFF:
+        if head.dtype.kind == "U" and array.size and int(_code_points(array).max(initial=0)) > 0x10FFFF:
             raise ValueError("it holds text that is not Unicode")
         return array
     except Exception as fault:

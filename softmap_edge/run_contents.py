@@ -27,11 +27,11 @@ def contents(run: Run) -> dict[str, Any]:
         "hash": run.hash(),
         "channels": run.channels,
         "command_unit": "ticks" if run.ticks is not None else run.command_unit,
-        "command_range": _ranges(run),
+        "command_range": command_ranges(run),
         "encoders": run.present is not None or run.present_ticks is not None,
         "rows": len(run.t),
-        "from_s": _rounded(run.t[0]),
-        "to_s": _rounded(run.t[-1]),
+        "from_s": rounded(run.t[0]),
+        "to_s": rounded(run.t[-1]),
         "timeless": run.timeless,
         "frames": run.frames,
         "seen": seen,
@@ -54,9 +54,9 @@ def _declared(run: Run) -> dict[str, Any]:
     for name in DECLARED:
         value = getattr(run, name)
         if value is not None and value.size:
-            found[name] = [_rounded(value.min()), _rounded(value.max())]
+            found[name] = [rounded(value.min()), rounded(value.max())]
     if run.sigma is not None:
-        found["sigma_mm"] = _rounded(np.median(run.sigma))
+        found["sigma_mm"] = rounded(np.median(run.sigma))
     return found
 
 
@@ -70,8 +70,8 @@ def _blocks(run: Run) -> list[dict[str, Any]]:
         {
             "label": str(labels[k]),
             "frames": len(times[k]),
-            "from_s": _rounded(times[k][0]),
-            "to_s": _rounded(times[k][-1]),
+            "from_s": rounded(times[k][0]),
+            "to_s": rounded(times[k][-1]),
         }
         for k in np.argsort(first)
     ]
@@ -86,21 +86,22 @@ def _origin(run: Run) -> list[dict[str, Any]]:
             "recording": part.origin,
             "rows": row - part.row,
             "frames": frame - part.frame,
-            "from_s": _rounded(low),
-            "to_s": _rounded(high),
-            "at_s": _rounded(low + part.shift_s),
+            "from_s": rounded(low),
+            "to_s": rounded(high),
+            "at_s": rounded(low + part.shift_s),
         }
         for (part, low, high), (row, frame) in zip(found, ends)
     ]
 
 
-def _ranges(run: Run) -> list[list[float]]:
-    """Return the lowest and highest command of each channel."""
+def command_ranges(run: Run) -> list[list[float]]:
+    """Return the lowest and highest command, or ticks, of each channel; [] of a run without commands."""
     rows = run.command if run.command is not None else run.ticks
-    return [] if rows is None else [[_rounded(c.min()), _rounded(c.max())] for c in rows.T]
+    return [] if rows is None else [[rounded(c.min()), rounded(c.max())] for c in rows.T]
 
 
-def _rounded(value: Any) -> float:
+def rounded(value: Any) -> float:
+    """Return a number with six digits, as documents hold it."""
     return float(f"{float(value):.6g}")
 
 

@@ -11,6 +11,7 @@ from softmap_edge.errors import RunError
 from softmap_edge.run import Run
 
 REST_MM = 1e-6  # mm by which the markers at rest may differ
+ONCE = ("marker_rest", "cameras")  # fields that belong to the robot, equal in all runs
 OPTIONAL = ("present", "present_ticks", "current", "temperature", "load", "gravity", "sigma", "frame_sigma")
 
 
@@ -24,7 +25,7 @@ def check_fit(runs: Sequence[Run]) -> None:
                     "recorded and imported in the same way"
                 )
     for number, run in enumerate(runs, start=1):
-        for name in (*OPTIONAL, "frame", "marker_rest", "cameras"):
+        for name in (*OPTIONAL, "frame", *ONCE):
             _check_all(name, number, run, runs)
 
 
@@ -81,7 +82,7 @@ def _check_all(name: str, number: int, run: Run, runs: Sequence[Run]) -> None:
         raise RunError(
             f"{name}: run {holds} holds it, run {lacks} does not; declare it in both, or leave it out (--drop {name})"
         )
-    if name not in ("marker_rest", "cameras") or first is None:
+    if name not in ONCE or first is None:
         return
     if first.shape != value.shape or not np.allclose(first, value, rtol=0.0, atol=REST_MM):
         off = f"by up to {np.abs(first - value).max():.3g} mm" if first.shape == value.shape else "in their number"

@@ -28,7 +28,6 @@ NEXT = 1.5  # usual steps of rows within which a piece continues the one before 
 SLACK = 1e-6  # s by which times of one recording may differ after a shift and its inverse
 POINTS = ("vertices", "markers")
 BY_ROW = ("command", "ticks", "present", "present_ticks", "current", "temperature", "load")
-ONCE = ("marker_rest", "cameras")  # fields that belong to the robot, equal in all runs
 
 
 @dataclass(frozen=True)

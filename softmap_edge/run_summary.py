@@ -21,6 +21,7 @@ from softmap_edge.registration.clouds import with_depth
 from softmap_edge.report.advice_text import advice_lines
 from softmap_edge.report.numbers import folded
 from softmap_edge.run import BASE_MARKERS, OURS, Run, known
+from softmap_edge.run_contents import command_ranges, rounded
 from softmap_edge.ticks import converted
 from softmap_edge.views import laid
 
@@ -46,11 +47,11 @@ def summary(recorded: Run, model: Any = None) -> dict[str, Any]:
         "robot": run.robot,
         "channels": run.channels,
         "rows": len(run.t),
-        "duration_s": _rounded(run.t[-1] - run.t[0]),
+        "duration_s": rounded(run.t[-1] - run.t[0]),
         "rate_hz": _rate(run.t),
         "calibrated": recorded.ticks is not None and run.ticks is None,
         "command_unit": "ticks" if run.ticks is not None else run.command_unit,
-        "command_range": _ranges(run),
+        "command_range": command_ranges(run),
         "frames": run.frames,
         "frame_rate_hz": _rate(run.t_seen),
         "seen": kind,
@@ -59,13 +60,13 @@ def summary(recorded: Run, model: Any = None) -> dict[str, Any]:
         "timeless": run.timeless,
         "base_markers": int(run.extra[BASE_MARKERS].shape[1]) if _has_base(run) else 0,
         "points_per_frame": None if seen is None or seen.ndim != 3 else int(seen.shape[1]),
-        "visible_share": 1.0 if run.visible is None or not run.visible.size else _rounded(run.visible.mean()),
+        "visible_share": 1.0 if run.visible is None or not run.visible.size else rounded(run.visible.mean()),
         "encoders": run.present is not None or run.present_ticks is not None,
         "gravity": _gravity(run),
-        "load_g": None if run.load is None else [_rounded(run.load.min()), _rounded(run.load.max())],
+        "load_g": None if run.load is None else [rounded(run.load.min()), rounded(run.load.max())],
         "temperature_c": None
         if run.temperature is None
-        else [_rounded(run.temperature.min()), _rounded(run.temperature.max())],
+        else [rounded(run.temperature.min()), rounded(run.temperature.max())],
         "blocks": [] if run.block is None else [str(label) for label in dict.fromkeys(run.block.tolist())],
         **_visits(run),
         "unknown_fields": sorted(set(run.extra) - OURS),
@@ -144,16 +145,12 @@ def _has_base(run: Run) -> bool:
     return BASE_MARKERS in run.extra and run.extra[BASE_MARKERS].ndim == 3
 
 
-def _rounded(value: Any) -> float:
-    return float(f"{float(value):.6g}")
-
-
 def _rate(t: np.ndarray[Any, np.dtype[np.float64]]) -> float | None:
     if len(t) < 2:
         return None
     step = np.diff(t)
     usual = step[step <= 1.5 * np.median(step)]  # without gaps; the mean, for logged times are rounded
-    return _rounded(1.0 / usual.mean())
+    return rounded(1.0 / usual.mean())
 
 
 def _extent(seen: np.ndarray[Any, np.dtype[np.float64]] | None) -> list[list[float]] | None:
@@ -162,7 +159,7 @@ def _extent(seen: np.ndarray[Any, np.dtype[np.float64]] | None) -> list[list[flo
         return None
     flat = seen.reshape(-1, 3)
     flat = flat[np.isfinite(flat).all(axis=1)]
-    return [[_rounded(c.min()), _rounded(c.max())] for c in flat.T] if len(flat) else None
+    return [[rounded(c.min()), rounded(c.max())] for c in flat.T] if len(flat) else None
 
 
 def _shown(run: Run, seen: np.ndarray[Any, np.dtype[np.float64]] | None) -> Any:
@@ -175,13 +172,8 @@ def _outputs(run: Run) -> dict[str, Any] | None:
     if run.output is None:
         return None
     rows = run.outputs
-    ranges = [[_rounded(np.nanmin(c)), _rounded(np.nanmax(c))] if np.isfinite(c).any() else [0.0, 0.0] for c in rows.T]
+    ranges = [[rounded(np.nanmin(c)), rounded(np.nanmax(c))] if np.isfinite(c).any() else [0.0, 0.0] for c in rows.T]
     return {"names": list(run.output.names), "unit": run.output.unit, "range": ranges}
-
-
-def _ranges(run: Run) -> list[list[float]]:
-    rows = run.command if run.command is not None else run.ticks
-    return [] if rows is None else [[_rounded(c.min()), _rounded(c.max())] for c in rows.T]
 
 
 def _gravity(run: Run) -> str | None:

@@ -100,7 +100,7 @@ def test_saving_loses_nothing_that_stands_beside_or_in_place_of_a_bundle(finger,
         save_bundle(model, there)
     mine = save_bundle(model, tmp_path / "mine")
     (mine / "notes.txt").write_text("...")
-    with pytest.raises(BundleError, match=r"notes\.txt beside a bundle"):
+    with pytest.raises(BundleError, match=r"notes\.txt next to a bundle"):
         save_bundle(model, mine)
     (mine / "notes.txt").unlink()
     (tmp_path / "mine.part").mkdir()

@@ -258,7 +258,7 @@ def test_a_loop_that_dies_or_freezes_is_released_from_here(program, how):
     os.kill(loop, how)
     until(lambda: not torque(bus), 2.0)
     user.wait(10)
-    assert b"in state fault (the control loop died or froze); begin anew" in user.stderr.read()
+    assert b"in state fault (the control loop died or froze); begin again" in user.stderr.read()
 
 
 def test_with_nobody_left_the_watchdogs_stop_and_hold_and_the_next_start_says_so(program):
@@ -315,7 +315,7 @@ def test_servos_that_are_not_as_said_are_refused():
             Controller(rig, calibration(), limits).__enter__()
         set_up(bus.path)
         other = Rig(rig.port, rig.baud, (RigServo(1, "XM430-W210", HOME), rig.servos[1]))
-        with pytest.raises(ServoError, match=r"servo 1: it is XL330-M288 \(1200\), the rig says XM430-W210"):
+        with pytest.raises(ServoError, match=r"servo 1: it is XL330-M288 \(1200\), the rig lists XM430-W210"):
             Controller(other, calibration(), limits).__enter__()
         absent = Rig(rig.port, rig.baud, (RigServo(7, "XL330-M288", HOME), rig.servos[1]))
         with pytest.raises(

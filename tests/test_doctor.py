@@ -102,7 +102,9 @@ def test_a_busy_port_another_model_and_damaged_files(tmp_path):
         assert "is in use by another program" in line.found and line.do == "close it first"
         ours.close()
         Rig(rig.port, rig.baud, (RigServo(1, "XM430-W210", 5),)).write(file)
-        assert "is XL330-M288 (1200), the rig says XM430-W210" in named(doctor.examine(rig=file).lines, "servo 1").found
+        assert (
+            "is XL330-M288 (1200), the rig lists XM430-W210" in named(doctor.examine(rig=file).lines, "servo 1").found
+        )
     file.write_text("[")
     assert named(doctor.examine(rig=file).lines, "rig").state == FAULT
     line = named(doctor.examine(rig=tmp_path / "none.toml").lines, "rig")

@@ -151,7 +151,7 @@ def test_cameras_that_cannot_be_opened(monkeypatch, tmp_path):
     with pytest.raises(TeleopError, match=r"the cameras here are 2 \(.*video2\)"):
         CameraFrames(7)
     (tmp_path / "video97").write_text("")
-    with pytest.raises(TeleopError, match="camera 97: .* cannot be opened; close who else uses it"):
+    with pytest.raises(TeleopError, match="camera 97: .* cannot be opened; close the program that uses it"):
         CameraFrames(97)
     monkeypatch.setattr(frames.os, "access", lambda *_: False)
     with pytest.raises(TeleopError, match="sudo usermod -aG video"):

@@ -187,7 +187,9 @@ def test_another_model_than_the_rig_says(wound, capsys):
     bus, file = wound
     Rig(bus.path, BAUD, (RigServo(1, "XM430-W210"),)).write(file)
     assert home(file) == 2
-    assert "servo 1: it is XL330-M288 (1200), the rig says XM430-W210 (1030); mend the rig" in capsys.readouterr().err
+    assert (
+        "servo 1: it is XL330-M288 (1200), the rig lists XM430-W210 (1030); correct the rig" in capsys.readouterr().err
+    )
 
 
 def test_a_mark_is_made_of_addresses_that_every_model_may_map():

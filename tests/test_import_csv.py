@@ -38,6 +38,7 @@ def test_decimal_commas_and_columns_by_number(tmp_path):
         (lambda s: s.split("\n")[0], ["holds no rows"]),
         (lambda s: "", ["holds no lines"]),
         (lambda s: s.replace("\n0.1,", "\noops,", 1), ["line 3, column t: 'oops' is not a number"]),
+        (lambda s: s.replace("\n0.1,", "\n0_1,", 1), ["line 3, column t: '0_1' is not a number"]),
         (lambda s: s.replace("\n0.1,", "\n,", 1), ["line 3: the time is empty"]),
         (lambda s: s.replace("\n0.5,", "\n0.1,", 1), ["time goes backwards at row 5"]),
         (lambda s: s.replace("\n0.5,", "\n0.4,", 1), ["time stands still at row 5"]),

@@ -2,6 +2,7 @@
 
 import ctypes
 import os
+import resource
 import sys
 import threading
 import time
@@ -29,6 +30,20 @@ def test_plain_values_come_back_as_they_are():
     assert in_child(lambda a, b: a + b, 2, 3) == 5
     big = in_child(lambda: np.arange(5_000_000))
     assert big.sum() == 4_999_999 * 2_500_000
+
+
+def test_a_program_with_many_open_files_gets_its_answer():
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    if hard < 4096:
+        pytest.skip("this user may not open so many files")
+    resource.setrlimit(resource.RLIMIT_NOFILE, (max(soft, 4096), hard))
+    open_files = [os.open(os.devnull, os.O_RDONLY) for _ in range(1100)]
+    try:
+        assert in_child(lambda: 5) == 5
+    finally:
+        for file in open_files:
+            os.close(file)
+        resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
 
 
 def hang():

@@ -198,6 +198,17 @@ def test_a_chunk_without_a_checksum_among_others_is_said(tmp_path):
     assert any("1 chunks carry no checksum" in note for note in imported(path).notes)
 
 
+def test_chunks_without_checksums_are_left_out_where_the_data_fail_theirs(tmp_path):
+    path = goals(tmp_path / "run.mcap", enable_crcs=False, enable_data_crcs=True)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert len(open_mcap(path, "/goal").numbers) == 300
+    middle = records(path, CHUNK)[2]
+    turned(path, middle.end - 20)
+    with pytest.raises(RunError, match="the checksum of its data does not match.*nothing of topic /goal is left"):
+        open_mcap(path, "/goal")
+
+
 def test_data_without_chunks_that_fail_their_checksum_are_refused(tmp_path):
     """Nothing shows which message is damaged."""
     path = goals(tmp_path / "run.mcap", use_chunking=False, enable_data_crcs=True)

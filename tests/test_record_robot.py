@@ -335,5 +335,5 @@ def test_nobody_to_ask_is_told(tmp_path, commands, monkeypatch, capsys):
     from softmap_edge.commands.record_robot import _ask
 
     monkeypatch.setattr("sys.stdin", io.StringIO(""))
-    with pytest.raises(SoftmapError, match="nobody is there to say that it is done"):
+    with pytest.raises(SoftmapError, match="no terminal to confirm that it is done"):
         _ask(type("Args", (), dict(yes=False, emulated=False, json=True)), "hang 10 g at the tip", None)

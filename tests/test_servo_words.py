@@ -48,7 +48,7 @@ def test_what_leads_on_fits_the_state_and_home_is_lost_where_the_guard_loses_it(
     for cause in words.LOSES_HOME:
         assert "softmap servo home" in words.onward({"state": "fault", "cause": cause})
         assert "softmap servo home" in words.lost({"state": "fault", "cause": cause}, "")
-    for cause, line in {"hot": "mend that, then", "emergency": "release it,", "loop": "begin anew"}.items():
+    for cause, line in {"hot": "mend that, then", "emergency": "release it,", "loop": "begin again"}.items():
         assert words.onward({"state": "fault", "cause": cause}).startswith(line)
         assert "softmap servo home" not in words.lost({"state": "fault", "cause": cause}, "")
     for state in ("connected", "off"):

@@ -168,6 +168,20 @@ def test_a_date_and_a_time_of_day_in_two_columns(tmp_path):
         assert run.t == pytest.approx(STEP * np.arange(40), abs=1e-5)
 
 
+@pytest.mark.parametrize("cut", [5, 20, 35])
+def test_a_date_and_a_time_of_day_in_two_parts_of_a_log(tmp_path, cut):
+    form = stamp("%d.%m.%Y,%H:%M:%S.{f}", MIDNIGHT)
+    head = ",".join(["Datum", "Uhrzeit", *NAMES[1:]])
+    paths = [
+        write(tmp_path / "a.csv", head, rows(cut, time=form)),
+        write(tmp_path / "b.csv", head, rows(40 - cut, time=form, first=cut)),
+    ]
+    log = 'time = { columns = ["Datum", "Uhrzeit"] }\ncommand = { columns = ["cmd_1"] }\n'
+    mapping = 'schema = "softmap.mapping/1"\n' + "".join(f'[[log]]\nfile = "{path.name}"\n{log}' for path in paths)
+    run = import_logs(paths, parse_mapping(mapping, paths[0])).run
+    assert np.diff(run.t) == pytest.approx(STEP, abs=1e-5) and len(run.t) == 40
+
+
 def test_a_cell_that_is_no_time_is_named_with_its_line(tmp_path):
     lines = rows(time=FORMS["iso"][0])
     lines[20] = "soon" + lines[20][lines[20].index(",") :]

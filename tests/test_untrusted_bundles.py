@@ -27,6 +27,7 @@ from softmap_edge import _core, builtin_model, load_bundle, save_bundle  # noqa:
 from softmap_edge.cli import main  # noqa: E402
 from softmap_edge.errors import BundleError, SoftmapError  # noqa: E402
 from softmap_edge.npz import MOST_ARRAYS, read_npz, write_npz  # noqa: E402
+from softmap_edge.registration.clouds import read_clouds  # noqa: E402
 
 GIVEN = Path(__file__).parent / "data" / "untrusted"
 BASE = builtin_model()
@@ -298,6 +299,8 @@ def test_an_archive_of_very_many_entries_is_refused_at_once(tmp_path, count, com
     begun = time.process_time()
     with pytest.raises(SoftmapError, match=rf"at most {MOST_ARRAYS} are read|holds up to {MOST_ARRAYS} arrays"):
         read_npz(tmp_path / "prior.npz")
+    with pytest.raises(SoftmapError, match=rf"at most {MOST_ARRAYS} of|holds up to {MOST_ARRAYS} arrays"):
+        read_clouds([tmp_path / "prior.npz"])
     assert time.process_time() - begun < 1.0
 
 

@@ -157,7 +157,7 @@ def _check(model: Model, run: Run) -> None:
     if run.channels != model.channels or not model.channels:
         raise CalibrationError(
             f"the run has {run.channels} servos, the model of '{model.robot}' takes {model.channels} commands; one "
-            "servo for each command is wanted"
+            "servo for each command is expected"
         )
     if model.chain_names:
         raise CalibrationError(

@@ -162,7 +162,7 @@ def _go(args: argparse.Namespace) -> int:
         if len(u) != len(there.rig.servos):
             raise SoftmapError(f"{len(u)} numbers for {len(there.rig.servos)} servos; give mm, one a servo")
         if not args.hold and not confirm(f"The finger goes to {args.command} mm and comes back. Is it free?", "--hold"):
-            raise ServoError("nothing moved: nobody said that the finger is free")
+            raise ServoError("nothing moved: it was not confirmed that the finger is free")
         robot = Controller(there.rig, there.calibration, there.limits)
         with driving(robot):
             done, sent, arrived = robot.engage(u), None, None

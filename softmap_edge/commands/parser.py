@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import argparse
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, NoReturn
 
 from softmap_edge.errors import nearest
 
+# An action of a command: its help, the function that declares its arguments, and the one that runs it.
+Action = tuple[str, Callable[[argparse.ArgumentParser], None], Callable[[argparse.Namespace], int]]
 _CHOICE = re.compile(r"invalid choice: '?([^'\s]*)'? \(choose from (.*)\)")
 
 
@@ -40,6 +42,16 @@ class Parser(argparse.ArgumentParser):
         wrong = [word for word in given if not any(option.startswith(word) for option in known)]
         found = [(word, nearest(word, known, 2)) for word in wrong]
         return [f"there is no option {word}: did you mean {' or '.join(near)}?" for word, near in found if near]
+
+
+def add_actions(parser: argparse.ArgumentParser, actions: Mapping[str, Action]) -> None:
+    """Declare the actions of a command, such as `servo scan`: `args.what` is the name of the one that is given."""
+    what = parser.add_subparsers(dest="what", required=True, metavar="|".join(actions))
+    for name, (text, declare, _) in actions.items():
+        one = what.add_parser(name, help=text)
+        declare(one)
+        # The command has --json too; a default of the action would overrule one that stands before the action.
+        one.add_argument("--json", action="store_true", default=argparse.SUPPRESS, help="print one JSON document")
 
 
 def parsers_below(parser: argparse.ArgumentParser) -> Iterator[Parser]:

@@ -248,7 +248,7 @@ def _ask(args: argparse.Namespace, what: str, key: EmergencyKey) -> None:
             print(f"  {what}", file=sys.stderr)
         return
     if not sys.stdin.isatty():
-        raise SoftmapError(f"{what}: nobody is there to say that it is done; give --yes if it is")
+        raise SoftmapError(f"{what}: no terminal to confirm that it is done; give --yes if it is")
     print(f"\n{what}; torque is off. Press Enter when it is so, Ctrl-C to end.", file=sys.stderr)
     with key.aside():
         sys.stdin.readline()
@@ -261,7 +261,7 @@ def _ahead(args: argparse.Namespace, paced: Pace) -> str:
     slower = f", {slowed:.1f} times as slow as written, by the limits of the servos" if slowed > 1.05 else ""
     rests = int(paced.rests.sum())
     return (
-        f"a recording of {minutes:.1f} minutes{slower}; beside that up to {rests * 3} s for {rests} rests to settle; "
+        f"a recording of {minutes:.1f} minutes{slower}; in addition up to {rests * 3} s for {rests} rests to settle; "
         "Ctrl-C ends it and keeps what there is; should the computer fail, this makes the run of what is there: "
         f"{_again(args)}"
     )

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import argparse
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 from softmap_edge.commands.output import check_file, check_no_run
+from softmap_edge.commands.parser import Action, add_actions
 from softmap_edge.errors import RunError
 from softmap_edge.experiment.recorded import open_run
 from softmap_edge.run import Run
@@ -136,7 +137,7 @@ def _show(args: argparse.Namespace) -> int:
     return 0
 
 
-ACTIONS: dict[str, tuple[str, Callable[[argparse.ArgumentParser], None], Callable[[argparse.Namespace], int]]] = {
+ACTIONS: dict[str, Action] = {
     "cut": ("cut pieces out of a run, by time or by block", _cut_arguments, _cut),
     "join": ("join runs of one robot into one", _join_arguments, _join),
     "show": ("list what a run holds", _show_arguments, _show),
@@ -145,11 +146,7 @@ ACTIONS: dict[str, tuple[str, Callable[[argparse.ArgumentParser], None], Callabl
 
 def run_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `run` and of its actions."""
-    what = parser.add_subparsers(dest="what", required=True, metavar="|".join(ACTIONS))
-    for name, (text, declare, _) in ACTIONS.items():
-        one = what.add_parser(name, help=text)
-        declare(one)
-        one.add_argument("--json", action="store_true", default=argparse.SUPPRESS, help="print one JSON document")
+    add_actions(parser, ACTIONS)
 
 
 def run(args: argparse.Namespace) -> int:

@@ -25,6 +25,7 @@ from softmap_edge.own_effect import loaded
 from softmap_edge.report.advice_text import effect_lines
 from softmap_edge.run import Run
 from softmap_edge.run_summary import SCHEMA, sentences, summary
+from softmap_edge.whole_file import write_whole
 
 DONE, FAULT = 0, 1
 _BARS = "▁▂▃▄▅▆▇█"
@@ -86,7 +87,7 @@ def _guess(args: argparse.Namespace) -> int:
         check_kept(args.out, "a mapping", args.force)
     found = guess_mapping(args.logs)
     if args.out is not None:
-        Path(args.out).write_text(found.text, encoding="utf-8")
+        write_whole(args.out, found.text)
     if args.json:
         print(json.dumps(found.to_dict() | {"out": args.out}, ensure_ascii=False))
         return DONE

@@ -5,11 +5,11 @@ from __future__ import annotations
 import argparse
 import json
 import warnings
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from softmap_edge.commands.output import check_file, check_no_run, to_stderr
+from softmap_edge.commands.parser import Action, add_actions
 from softmap_edge.commands.servo_calibrate import calibrate_bench, calibrate_bench_arguments
 from softmap_edge.commands.servo_emulate import emulate, emulate_arguments
 from softmap_edge.commands.servo_heartbeat import heartbeat, heartbeat_arguments
@@ -30,8 +30,6 @@ from softmap_edge.servo.presence import why_silent
 from softmap_edge.servo.recording import read_recording
 from softmap_edge.servo.rig import Rig, read_rig
 
-Declare = Callable[[argparse.ArgumentParser], None]
-Do = Callable[[argparse.Namespace], int]
 SLOWEST, FASTEST = 9_600, 4_500_000  # baud
 OTHERWISE = 1  # exit code: a fault, or a recording that is decided otherwise
 
@@ -223,7 +221,7 @@ def _off_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--rig", metavar="rig.toml", help="the bench whose port it is")
 
 
-ACTIONS: dict[str, tuple[str, Declare, Do]] = {
+ACTIONS: dict[str, Action] = {
     "scan": ("find ports, baud rates and servos", _scan_arguments, _scan),
     "read": ("what a servo is, and what keeps it from being driven", _read_arguments, _read),
     "setup": ("make one servo ready, and note it in a rig.toml", _setup_arguments, _setup),
@@ -243,17 +241,12 @@ ACTIONS: dict[str, tuple[str, Declare, Do]] = {
 
 
 def servo_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments of `servo` and of what it does."""
-    what = parser.add_subparsers(dest="what", required=True, metavar="|".join(ACTIONS))
-    for name, (text, declare, _) in ACTIONS.items():
-        one = what.add_parser(name, help=text)
-        declare(one)
-        # The verb has it too; what stands before the sub-verb is not to be overruled by a default behind it.
-        one.add_argument("--json", action="store_true", default=argparse.SUPPRESS, help="print one JSON document")
+    """Declare the arguments of `servo` and of its actions."""
+    add_actions(parser, ACTIONS)
 
 
 def servo(args: argparse.Namespace) -> int:
-    """Do what was asked for with servos; 0 when all is well."""
+    """Run an action on servos; return 0 when all is well."""
     return ACTIONS[args.what][2](args)
 
 

@@ -47,7 +47,9 @@ def calibrate_bench(args: argparse.Namespace) -> int:
         "held out is what the deviations expect; nothing was seen: calibrate with a camera for more",
     ]
     if args.ruler is None:
-        warnings.append("the radius is the pulley's alone; one reading of a ruler (--ruler TICKS=MM) tells it better")
+        warnings.append(
+            "the radius is the pulley's alone; one reading of a ruler (--ruler TICKS=MM) measures it better"
+        )
     folder = save_bundle(replace(model, calibration=found), args.out)
     if args.json:
         print(json.dumps(document(found, model, warnings) | {"bundle": str(folder)}, ensure_ascii=False))

@@ -50,7 +50,7 @@ def workspace(args: argparse.Namespace, kinematics: Kinematics) -> int:
     target = None if args.reach is None else np.asarray(args.reach, float)
     rest = np.asarray(kinematics.tip.evaluate(kinematics.home[None]))[0]
     if target is not None and not (np.abs(target) <= WIDEST).all():
-        raise SoftmapError(f"--reach {target.tolist()}; numbers of up to {WIDEST:g} mm are wanted")
+        raise SoftmapError(f"--reach {target.tolist()}; numbers of up to {WIDEST:g} mm are allowed")
     places = kinematics.reach.samples[0]
     solved = None if target is None else kinematics.solve(target[None])
     unit = kinematics.model.command_unit

@@ -252,7 +252,7 @@ def _doubt(verb: str, model: Any, run: Any) -> None:
     commands = model.commands(run)
     if (commands == commands[:1]).all():
         print(
-            f"softmap {verb}: the commands never change in this run: it tells nothing of what they do", file=sys.stderr
+            f"softmap {verb}: the commands never change in this run, so it does not show their effect", file=sys.stderr
         )
     try:
         remarks: tuple[str, ...] = tuple(sound(model, run).remarks)
@@ -305,7 +305,7 @@ def _write(args: argparse.Namespace, model: Any, report: dict[str, Any]) -> int:
     if "relative_to" in report:
         print("what was added is relative to a reference run: what the model misses on that run it misses still")
     if "residual" in report:
-        print("the residual was learned beside other effects and is dropped; `softmap adapt` learns it again")
+        print("the residual was learned with other effects and is dropped; `softmap adapt` learns it again")
     if "before_rms_mm" in report:
         before, after = report["before_rms_mm"], report["after_held_out_rms_mm"]
         print(f"error {before:.3f} mm RMS (as the bundle stood) -> {after:.3f} mm RMS (held out)")

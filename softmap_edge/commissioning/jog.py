@@ -132,7 +132,7 @@ class Jog:
         state = self.robot.state
         if state not in ("commissioning", "connected"):
             report = self.robot.report
-            raise ServoError(f"the guard ended the jog: the robot is {words.where(report)}; mend that and begin anew")
+            raise ServoError(f"the guard ended the jog: the robot is {words.where(report)}; mend that and begin again")
         if state == "connected":
             self.robot.request("commission")
             self._began, self._target = self.goal, None

@@ -193,7 +193,7 @@ def _points(run: Run) -> Iterator[Word]:
     size = np.linalg.svd(rest - rest.mean(axis=0), compute_uv=False)
     if len(size) < 2 or size[1] < BESIDE * size[0]:
         text = "a twist, and turns of the base about the robot's axis: the markers lie on one line"
-        yield Word("markers", False, text, "glue a marker or two beside the line, 10 mm or more", None)
+        yield Word("markers", False, text, "glue a marker or two next to the line, 10 mm or more", None)
 
 
 def _drive(u: Floats) -> list[Word]:
@@ -294,7 +294,7 @@ def _direction(state: Conditions) -> Word:
 
 
 def _temperature(run: Run) -> Word:
-    remedy = "log a thermometer beside the silicone; warm it up by 5 °C while it moves, and let it cool down again"
+    remedy = "log a thermometer next to the silicone; warm it up by 5 °C while it moves, and let it cool down again"
     if run.temperature is None:
         return Word("temperature", False, "thermal softening vs. creep: no temperature is logged", remedy, 15.0)
     change = float(np.ptp(run.temperature))

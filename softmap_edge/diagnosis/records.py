@@ -178,7 +178,7 @@ def record_of(
     """
     runs = list(run) if isinstance(run, Sequence) else [run]
     if not runs:
-        raise SoftmapError("no run is given; a diagnosis wants at least one")
+        raise SoftmapError("no run is given; a diagnosis needs at least one")
     if len(runs) == 1:
         return Record(model, runs[0], library, reference)
     return Records(model, runs, library, reference)

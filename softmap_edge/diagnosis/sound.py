@@ -100,7 +100,7 @@ def sound(model: Model, run: Run) -> Sound:
         remarks.append(f"{int(frames.sum())} of {run.frames} frames {text}" if frames.any() else text)
         keep &= ~frames
     if keep.sum() < min(LEAST_FRAMES, run.frames):
-        raise RunError(f"{int(keep.sum())} usable frames, at least {LEAST_FRAMES} are wanted: {'; '.join(remarks)}")
+        raise RunError(f"{int(keep.sum())} usable frames, at least {LEAST_FRAMES} are needed: {'; '.join(remarks)}")
     part = run if keep.all() else run.at(keep)
     seen, visible = seen[keep], visible[keep]
     predicted = np.asarray(model.predict(part), float)

@@ -73,4 +73,4 @@ def _safely(look: Callable[[], Iterable[Line]]) -> list[Line]:
     except Exception as fault:
         name = getattr(look, "__name__", "look").replace("_", " ")
         said = f"could not be looked at ({type(fault).__name__}: {str(fault)[:120]})"
-        return [Line(name, FAULT, said, "this is a fault of softmap: please tell it")]
+        return [Line(name, FAULT, said, "this is a fault of softmap: please report it")]

@@ -35,7 +35,7 @@ def bundle(folder: str | Path) -> Iterator[Line]:
     try:
         model = load_bundle(folder)
     except (SoftmapError, OSError) as fault:
-        yield faulty("bundle", fault, "make it again, or get it whole")
+        yield faulty("bundle", fault, "make it again, or copy the complete folder again")
         return
     effects = ", ".join(model.chain_names) or "none"
     yield Line("bundle", OK, f"{folder}: {model.robot}, {model.channels} commands, effects: {effects}")

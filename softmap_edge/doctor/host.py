@@ -43,7 +43,7 @@ def versions() -> Iterator[Line]:
         yield Line(name, OK if version else FAULT, version or "not installed", do)
     for name, extra in EXTRAS.items():
         version = _version(name)
-        do = "" if version else f"only if it is wanted: pip install 'softmap-edge[{extra}]'"
+        do = "" if version else f"only if you need it: pip install 'softmap-edge[{extra}]'"
         yield Line(name, OK if version else WARNING, version or "not installed", do)
 
 
@@ -84,13 +84,13 @@ def real_time(proc: Path = PROC) -> Iterator[Line]:
     do = f"the loop runs without; to mend it, write '{name} - rtprio {PRIORITY}' into {file} and log in again"
     may = bool(rights >> CAP_SYS_NICE & 1)
     allowed = may or most < 0 or most >= PRIORITY
-    told = "CAP_SYS_NICE" if may else f"rtprio limit {'unlimited' if most < 0 else most}, {PRIORITY} wanted"
+    told = "CAP_SYS_NICE" if may else f"rtprio limit {'unlimited' if most < 0 else most}, {PRIORITY} needed"
     yield Line("real-time priority", OK if allowed else WARNING, told, "" if allowed else do)
     locked = resource.getrlimit(resource.RLIMIT_MEMLOCK)[0]
     do = f"the loop runs without; to mend it, write '{name} - memlock unlimited' into {file} and log in again"
     may = bool(rights >> CAP_IPC_LOCK & 1)
     enough = may or locked < 0 or locked >= LOCKED
-    told = "CAP_IPC_LOCK" if may else "unlimited" if locked < 0 else f"limit {locked >> 10} KiB, {LOCKED >> 10} wanted"
+    told = "CAP_IPC_LOCK" if may else "unlimited" if locked < 0 else f"limit {locked >> 10} KiB, {LOCKED >> 10} needed"
     yield Line("locked memory", OK if enough else WARNING, told, "" if enough else do)
 
 

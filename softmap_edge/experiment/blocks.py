@@ -212,7 +212,7 @@ def _known_load(tape: Tape, setting: Setting) -> None:
 
 
 def _warm_up(tape: Tape, setting: Setting) -> None:
-    note = f"warm the robot by {WARMER:g} °C from here on, and log a thermometer beside the silicone"
+    note = f"warm the robot by {WARMER:g} °C from here on, and log a thermometer next to the silicone"
     tape.notes.append((tape.now, note))
     start = tape.now
     while tape.now - start < WARM_UP:

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from softmap_edge.errors import RunError, brief
 from softmap_edge.protocol import Protocol
+from softmap_edge.whole_file import beside
 
 Floats = NDArray[np.float64]
 
@@ -35,14 +36,14 @@ AFTER = ("gravity_x", "gravity_y", "gravity_z", "load_g", "temperature_c", "look
 
 
 def write_commands(path: str | Path, plan: Protocol, robot: str) -> None:
-    """Write a protocol as a command file."""
+    """Write a protocol as a command file, complete or not at all."""
     look, label = np.zeros(plan.t.size, int), np.full(plan.t.size, "", object)
     rows = np.clip(np.searchsorted(plan.t, plan.t_seen - 1e-9), 0, plan.t.size - 1)
     look[rows] = 1
     if plan.frames:
         label[:] = plan.block[np.clip(np.searchsorted(rows, np.arange(plan.t.size)), 0, plan.frames - 1)]
     note = {int(np.searchsorted(plan.t, time - 1e-9)): text for time, text in plan.notes}
-    with open(path, "w", encoding="utf-8", newline="") as file:
+    with beside(Path(path)) as partial, open(partial, "w", encoding="utf-8", newline="") as file:
         file.write(f"# softmap commands {VERSION}; robot {_line(robot)[:80]}; unit {plan.unit}\n")
         table = csv.writer(file, lineterminator="\n")
         table.writerow([*BEFORE, *(f"u{c}" for c in range(plan.command.shape[1])), *AFTER])

@@ -121,7 +121,7 @@ def times_of(path: Path, where: str, cells: Cells, t: Array, clock: Clock) -> Ti
 
 
 def kept(cells: Cells, keep: NDArray[np.bool_]) -> Cells:
-    """Return some of the rows."""
+    """Return the rows (rows,) to `keep`."""
     labels = None if cells.labels is None else cells.labels[keep]
     return replace(cells, numbers=cells.numbers[keep], labels=labels, lines=cells.lines[keep])
 
@@ -232,7 +232,11 @@ def _usual(t: Array) -> float:
 
 
 def set_forward(t: Array, cells: Cells, clock: Clock) -> Jump | None:
-    """Return the one leap of a clock that was set forward: the values go on as if no time had passed; else None."""
+    """Return the one leap of a clock that was set forward: the values go on as if no time had passed; else None.
+
+    Args:
+        t: (rows,) s. cells: the columns of these rows. clock: the time that the mapping declares.
+    """
     step = np.diff(t)
     if len(step) < 2 * _NEAR or (step <= 0).any():
         return None
@@ -270,11 +274,11 @@ def _refuse_falls(path: Path, where: str, t: Array, cells: Cells, row: NDArray[n
 def _way_out(t: Array, row: NDArray[np.int64], at: int, jump: Jump | None) -> str:
     if jump is not None and jump.period_s is not None:
         return f'the clock rolls over at {jump.period} ({jump.period_s:.10g} s): set time.jumps = "mend" to count on'
-    cut = f"or import the log in two parts, to_row = {row[at] - 1} and from_row = {row[at]}"
+    cut = f"import the log in two parts, to_row = {row[at] - 1} and from_row = {row[at]}"
     if jump is not None:
         return (
             f'the clock was set back by about {_usual(t) - jump.size_s[0]:.6g} s: set time.jumps = "mend" to take the '
-            f"step out, {cut}"
+            f"step out, or {cut}"
         )
     ways = []
     lost = int((~increasing(t)).sum())
@@ -284,7 +288,7 @@ def _way_out(t: Array, row: NDArray[np.int64], at: int, jump: Jump | None) -> st
         ways.append('set time.repeated = "spread" to place rows of one time evenly up to the next')
     if not ways:
         ways = ["the rows are not in the order of time: choose another column", cut]
-    return ", or ".join(ways).replace(", or or ", ", or ")
+    return ", or ".join(ways)
 
 
 def spread(t: Array) -> Array:

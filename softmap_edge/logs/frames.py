@@ -34,7 +34,7 @@ def seen(
     notes: list[str],
     doubts: list[str],
 ) -> Array | None:
-    """Return the times of the frames; `fields` gets markers in the base frame, who was visible, and labels.
+    """Return the times of the frames; `fields` gets markers in the base frame, their visibility, and labels.
 
     Args:
         tables: the logs. mapping: what their columns are.
@@ -74,24 +74,12 @@ def seen(
     if not visible.all():
         fields["visible"] = visible
         _tell_dropouts(visible, log.markers.labels, notes)
-    swaps = find_swaps(points, table.t, log.markers.labels)
-    if swaps and log.markers.swaps == "mend":
-        points = mend_swaps(points, swaps)
-        if "visible" in fields:
-            fields["visible"] = np.isfinite(points).all(axis=2)
-        notes += _few([f"{swap}: mended" for swap in swaps])
-    elif swaps:
-        remedy = 'look at them; markers.swaps = "mend" exchanges them back'
-        doubts += _few([f"{swap}; {remedy}" for swap in swaps])
+    points = _without_swaps(points, table.t, log.markers, notes, doubts)
+    if "visible" in fields:
+        fields["visible"] = np.isfinite(points).all(axis=2)
     fields["markers"] = mapping.to_base(points)
     if log.markers.axes < 3:
-        axis = [k for k, _ in mapping.axes].index(2)
-        fields["markers"][..., axis] = 0.0
-        fields[PLANE] = np.array(AXES[axis])
-        notes.append(
-            f"markers in a plane: {AXES[axis]} of the base frame is not measured and counts as 0; nothing across the "
-            "plane is judged"
-        )
+        _flatten(fields, mapping, notes)
     fields["marker_labels"] = np.array(log.markers.labels)
     if log.base is not None:
         fields["base_markers"] = mapping.to_base(_points(table, log.base, doubts))
@@ -148,6 +136,28 @@ def _without_shifts(table: LogTable, markers: Quantity, doubts: list[str]) -> Lo
     remedy = 'they are taken as not seen; markers.swaps = "mend" puts them into the columns of their markers'
     doubts.append(found.line(markers.labels, remedy))
     return _with_numbers(table, markers.columns, points)
+
+
+def _without_swaps(points: Array, t: Array, markers: Quantity, notes: list[str], doubts: list[str]) -> Array:
+    """Return points (K, M, 3) with exchanged markers exchanged back if the mapping says so; else report them."""
+    swaps = find_swaps(points, t, markers.labels)
+    if swaps and markers.swaps == "mend":
+        notes += _few([f"{swap}: mended" for swap in swaps])
+        return mend_swaps(points, swaps)
+    remedy = 'look at them; markers.swaps = "mend" exchanges them back'
+    doubts += _few([f"{swap}; {remedy}" for swap in swaps])
+    return points
+
+
+def _flatten(fields: dict[str, Any], mapping: Mapping, notes: list[str]) -> None:
+    """Set the coordinate across the plane of the markers to 0, and keep its axis in the run."""
+    axis = [k for k, _ in mapping.axes].index(2)
+    fields["markers"][..., axis] = 0.0
+    fields[PLANE] = np.array(AXES[axis])
+    notes.append(
+        f"markers in a plane: {AXES[axis]} of the base frame is not measured and counts as 0; nothing across the plane "
+        "is judged"
+    )
 
 
 def _with_numbers(table: LogTable, columns: tuple[Column, ...], numbers: Array) -> LogTable:
@@ -227,7 +237,16 @@ def _tell_dropouts(visible: NDArray[np.bool_], labels: tuple[str, ...], notes: l
 
 
 def choose_frames(t: Array, t_seen: Array, fields: dict[str, Any], mapping: Mapping, notes: list[str]) -> Array:
-    """Drop frames outside the commands and the wished interval, thin to the wished rate, cut into blocks.
+    """Drop frames outside the commands and the interval of the mapping, thin to its rate, cut into blocks.
+
+    Args:
+        t: (T,) s, of the commands. t_seen: (K,) s, of the frames.
+        fields: the fields of the run; those with an entry for each frame are thinned.
+        mapping: gives interval, rate and blocks.
+        notes: receives a sentence for each change.
+
+    Returns:
+        Array: the times s of the frames that are kept.
 
     Raises:
         RunError: no frame is left.
@@ -248,7 +267,7 @@ def choose_frames(t: Array, t_seen: Array, fields: dict[str, Any], mapping: Mapp
             "were dropped"
         )
     if mapping.seen_rate_hz is not None and len(keep) > 1:
-        # the first frame at or after each tick of the wished clock: even where the log's own clock jitters
+        # the first frame at or after each tick of the clock asked for: even where the log's own clock jitters
         tick = np.floor((t_seen[keep] - t_seen[keep[0]]) * mapping.seen_rate_hz + 1e-6)
         thinned = keep[np.r_[True, np.diff(tick) > 0]]
         notes.append(f"{len(thinned)} of {len(keep)} frames kept for {mapping.seen_rate_hz:g} Hz")

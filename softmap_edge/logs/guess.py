@@ -1,9 +1,9 @@
-"""Proposes a mapping for logs that nobody has described yet, and says in plain words what it assumed and cannot know.
+"""Propose a mapping for logs without one, and report what was assumed and what a log cannot show.
 
 From the header and the ranges: which column is time, which are commands, encoders, markers and labels, in which unit;
-from the markers at rest, which axis of the log is the robot's and where its clamp may be. What no log tells (the rate
-of a counter, the spool, gravity, the place of the clamp) is written as an assumption to be replaced. The proposal is
-tried: what the import says of it belongs to the answer. Pinned by tests/test_guess.py.
+from the markers at rest, which axis of the log is the robot's and where its clamp may be. A log does not show the rate
+of a counter, the spool, gravity and the place of the clamp: these are written as assumptions to be replaced. The
+proposal is imported, and the result is a part of the answer. Pinned by tests/test_guess.py.
 """
 
 from __future__ import annotations
@@ -47,8 +47,8 @@ class Guess:
 
     Attributes:
         text: the mapping, commented.
-        assumed, unknown: sentences on what was assumed, and on what no log can tell.
-        said: what the import says of the proposal: notes, doubts, or why it fails.
+        assumed, unknown: sentences on what was assumed, and on what a log cannot show.
+        said: the result of importing by the proposal: notes, doubts, or why it fails.
     """
 
     text: str
@@ -79,7 +79,7 @@ def guess_mapping(paths: Sequence[str | os.PathLike[str]]) -> Guess:
     rows = max((len(sheet.numbers) for sheet in sheets), default=0)
     if rows < 2:
         names = ", ".join(path.name for path in files)
-        raise RunError(f"{names}: {rows} row{'s' * (rows != 1)} of numbers; give the log of a whole recording")
+        raise RunError(f"{names}: {rows} row{'s' * (rows != 1)} of numbers; give the log of a complete recording")
     for k, sheet in enumerate(sheets):
         if not sheet.header:
             found.assumed.append(f"columns of {_called(sheet)}: no line names them, so they are numbers from 0")
@@ -132,7 +132,7 @@ def _called(sheet: Sheet) -> str:
 
 
 def _left_out(sheet: Sheet, time: tuple[str, ...], found: Found) -> list[str]:
-    """Name the columns that vary and are not taken, so that nobody believes that they are in the run."""
+    """Name the columns that vary and are not taken, since they are not in the run."""
     used = {*time, found.label} | {c for pair in found.others if pair[0] is sheet for c in pair[1].columns}
     used |= {c for pair in (found.command, found.present) if pair and pair[0] is sheet for c in pair[1].columns}
     used |= {name for other, one in found.left if other is sheet for name in one.columns}
@@ -239,7 +239,7 @@ def _find_drives(sheets: list[Sheet], found: Found) -> None:
         found.command = presents.pop(0)
         found.assumed.append("commands: none is named so; what the encoders read stands for them")
     if found.command is None:
-        found.unknown.append("what was commanded: nothing is named so; effects of the drive cannot be told")
+        found.unknown.append("what was commanded: nothing is named so; effects of the drive cannot be identified")
         return
     width = len(found.command[1].columns)
     fits = [pair for pair in presents if len(pair[1].columns) == width]
@@ -247,7 +247,9 @@ def _find_drives(sheets: list[Sheet], found: Found) -> None:
     sheet, role = found.command
     found.assumed.append(f"commands: {width} columns of {_called(sheet)}, {role.why}, in the order of the file")
     if not role.sure and found.present is None:
-        found.assumed.append("commands: goals, or what the servos read, is not said; either drives the model")
+        found.assumed.append(
+            "commands: the log does not state whether they are goals or positions that the servos read; either works"
+        )
     if found.present is not None:
         found.assumed.append(f"encoders: {width} columns of {_called(found.present[0])}, {found.present[1].why}")
     for pair in roles:
@@ -345,7 +347,7 @@ def _frame(sheets: list[Sheet], found: Found) -> list[str]:
     elif abs(along[k]) > 0.95:
         origin, why = np.zeros(3), "the origin of the log, for the marker at rest lies on its axis"
     else:
-        origin, why = np.zeros(3), "the origin of the log, for want of anything better"
+        origin, why = np.zeros(3), "the origin of the log, since the markers do not show the clamp"
     or_find = ", or let `softmap align` find it" if len(names) == 3 * (len(triples) + len(found.base)) else ""
     found.unknown.append(
         f"where the clamp is: {why} is taken; measure it{or_find}; and how the robot is mounted: gravity is not "

@@ -33,7 +33,7 @@ Array = NDArray[np.float64]
 ROWS = 20_000  # of each log that are looked at
 MOST_COLUMNS = 4096  # of each log: names are compared by pairs
 _MOST_LENGTHS = 16  # tables of different lengths of one file of arrays
-_TIMES = re.compile(r"^t$|time|stamp|clock|^sec|^t_|_t$", re.IGNORECASE)
+TIME_NAME = re.compile(r"^t$|time|stamp|clock|^sec|^t_|_t$", re.IGNORECASE)
 _JOINTS = re.compile(r"joint_?states?", re.IGNORECASE)  # a topic, a column or a type of message
 _LABELS = re.compile(r"block|label|segment|trial|phase|pattern|part|condition|experiment", re.IGNORECASE)
 _PLACES = re.compile(r"marker|point|(^|[._])tip($|_)|xyz|mocap|optitrack|vicon|place|end_?effector", re.IGNORECASE)
@@ -340,7 +340,7 @@ def label_of(sheet: Sheet) -> str | None:
     for name, texts in sheet.texts.items():
         if not sheet.header or "frame" in name.lower():  # the name of a coordinate frame
             continue
-        if len(set(texts)) <= max(3, len(texts) // 2) and any(texts) and not _TIMES.search(name):
+        if len(set(texts)) <= max(3, len(texts) // 2) and any(texts) and not TIME_NAME.search(name):
             return name
     for name in sheet.names:
         values = sheet.column(name) if name not in sheet.texts else np.zeros(0)

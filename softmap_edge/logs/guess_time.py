@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.logs.clock import counting_on, find_jump
-from softmap_edge.logs.guess_columns import Sheet, last_of, unit_in_name
+from softmap_edge.logs.guess_columns import TIME_NAME, Sheet, last_of, unit_in_name
 from softmap_edge.logs.readers.cells import is_value
 from softmap_edge.logs.time_keys import NO_TIME, ROW_S, TIME, Clock
 from softmap_edge.logs.time_text import DAY
@@ -24,7 +24,6 @@ from softmap_edge.logs.time_text import DAY
 Array = NDArray[np.float64]
 RATE_HZ = 100  # assumed rate of a counter
 _COUNTERS = re.compile(r"^(id|frame#?|index|idx|sample|row|count(er)?|nr|no|n|#|)$", re.IGNORECASE)
-_TIMES = re.compile(r"^t$|time|stamp|clock|^sec|^t_|_t$", re.IGNORECASE)
 _WHOLE = re.compile(r"(seconds|secs?|s)$", re.IGNORECASE)
 _FRACTION = {
     "ns": re.compile(r"(nano_?sec(onds|s)?|n_?secs?|ns)$", re.IGNORECASE),
@@ -106,7 +105,7 @@ def _single(sheet: Sheet) -> str | None:
     rising = [name for name in dict.fromkeys(sheet.names) if _rises(_known(sheet, name))]
     falling = [name for name in dict.fromkeys(sheet.names) if name not in rising and _falls(sheet, name)]
     for names in (rising, falling):
-        for pattern in (_TIMES, _COUNTERS):
+        for pattern in (TIME_NAME, _COUNTERS):
             fits = [name for name in names if name not in dated and pattern.search(_bare(last_of(sheet, name)))]
             finer = [name for name in fits if not _coarse(sheet, name)]
             if best is not None and (pattern is _COUNTERS or not finer):
@@ -116,7 +115,7 @@ def _single(sheet: Sheet) -> str | None:
     if best is not None:
         return best
     first = rising[0] if rising else falling[0] if falling else None
-    if first == sheet.names[0] and (not sheet.header or _even(sheet.column(first))):
+    if first == sheet.names[0] and (not sheet.header or _ticks_evenly(sheet.column(first))):
         return first
     return None
 
@@ -136,7 +135,7 @@ def _unread(sheet: Sheet) -> tuple[str, str, bool] | None:
     """A column of text called as time is, what it holds, and whether most of its cells are numbers or times."""
     for name, texts in sheet.texts.items():
         filled = [text for text in texts if text]
-        if filled and sheet.header and _TIMES.search(_bare(last_of(sheet, name))):
+        if filled and sheet.header and TIME_NAME.search(_bare(last_of(sheet, name))):
             odd = next((text for text in filled if not is_value(text)), filled[0])[:40]
             most = 2 * sum(map(is_value, filled)) > len(filled)
             return name, f"holds '{odd}'" + (" as well" if most else ", which is not read as time"), most
@@ -158,7 +157,7 @@ def _falls(sheet: Sheet, name: str) -> bool:
     return find_jump(known * seconds, Clock(name, seconds)) is not None
 
 
-def _even(values: Array) -> bool:
+def _ticks_evenly(values: Array) -> bool:
     """Whether numbers rise by nearly the same step from row to row, as a clock does under whatever name."""
     step = np.diff(values[np.isfinite(values)])
     usual = float(np.median(step))
@@ -168,7 +167,7 @@ def _even(values: Array) -> bool:
 def _of_column(sheet: Sheet, name: str) -> TimeFound:
     seconds, (unit, why) = _scale(sheet, name)
     values = sheet.column(name)
-    first = name == sheet.names[0] and not (sheet.header and _TIMES.search(name))
+    first = name == sheet.names[0] and not (sheet.header and TIME_NAME.search(name))
     called = ("the first column" if first else "") + (
         f" '{name}'" if sheet.header else "" if first else f"column {name}"
     )

@@ -71,13 +71,13 @@ def _knots(t: Array, fresh: NDArray[np.int64]) -> tuple[NDArray[np.int64] | None
         return None, 0.0
     gaps = np.diff(fresh)
     typical, hold = int(np.median(gaps)), float(np.median(np.diff(t[fresh])))
-    if typical < 2 or hold > LONGEST_HOLD or not _even(gaps):
+    if typical < 2 or hold > LONGEST_HOLD or not _on_a_beat(gaps):
         return None, 0.0
     still = np.flatnonzero(gaps > 3 * typical)  # the value really stayed: keep it until one hold before the next
     return np.union1d(fresh, fresh[still + 1] - typical), hold
 
 
-def _even(gaps: NDArray[np.int64]) -> bool:
+def _on_a_beat(gaps: NDArray[np.int64]) -> bool:
     """Whether new values come at the beat of a clock, and not as a slow move passes the steps of an encoder."""
     typical = int(np.median(gaps))
     slack = 0 if typical < 4 else 1  # of a beat of 3 rows every gap is within one

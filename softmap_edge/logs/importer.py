@@ -1,10 +1,10 @@
-"""Turns the logs of any robot into a run, as told by a small TOML mapping (columns, units, axes, rates).
+"""Turn the logs of any robot into a run by a small TOML mapping (columns, units, axes, rates).
 
-`read_mapping(path)` checks the mapping, `import_logs(paths, mapping)` gives the run, what was done to it and what
-looks wrong, in plain words.
-Several logs are joined by time: the rows of the log that holds the commands become the rows of the run, everything
-else recorded beside them is interpolated to those times, and what was seen keeps its own times. A row without a
-command is left out (commands are linear between rows); a cell without a value in another column is interpolated.
+`read_mapping(path)` checks the mapping. `import_logs(paths, mapping)` returns the run, with a sentence for each change
+and for each suspicious finding.
+Several logs are joined by time. The rows of the log that holds the commands become the rows of the run. Other recorded
+signals are interpolated to their times; frames keep their own times. A row without a command is left out (commands are
+linear between rows); a cell without a value in another column is interpolated.
 tests/test_import*.py pin all of it; docs/mapping.md lists the keys.
 """
 
@@ -270,7 +270,9 @@ def _rest(t_seen: Array, fields: dict[str, Any], mapping: Mapping, notes: list[s
         return
     low, high = mapping.marker_rest_s
     if mapping.marker_rest_mm is not None or fields.get("markers") is None:
-        raise RunError(f"{mapping.path}: marker_rest_s wants markers, and no marker_rest_mm beside it")
+        raise RunError(
+            f"{mapping.path}: marker_rest_s needs markers, and marker_rest_mm gives the same; leave marker_rest_s out"
+        )
     straight = np.asarray(fields["markers"])[(t_seen >= low) & (t_seen <= high)]
     known = np.isfinite(straight).all(axis=2)
     if not len(straight) or not known.any(axis=0).all():

@@ -86,7 +86,7 @@ class Log:
 
 @dataclass(frozen=True)
 class Mapping:
-    """A whole mapping; made by `read_mapping`."""
+    """A mapping; made by `read_mapping`."""
 
     path: Path
     robot: str | None
@@ -137,7 +137,7 @@ def read_mapping(path: str | os.PathLike[str]) -> Mapping:
 
 
 def parse_mapping(text: str, path: Path) -> Mapping:
-    """Return the mapping that a text describes; `path` is what its faults are told of.
+    """Return the mapping that a text describes; `path` is named in errors.
 
     Raises:
         RunError: as `read_mapping`.
@@ -329,7 +329,7 @@ def _quantity(log: TomlTable, name: str, command_unit: str) -> Quantity:
 
 
 def _held(name: str) -> tuple[tuple[str, ...], str]:
-    """What may be said of held samples, and the default."""
+    """Return the values that `held` may have, and the default."""
     if name in POINTS:
         return ("auto", "keep"), "auto"
     return ("auto", "keep", "unhold"), "auto" if name.startswith("present") else "keep"

@@ -31,7 +31,11 @@ class Measured:
 
 
 def measured_of(log: TomlTable) -> Measured | None:
-    """Return the outputs that a log names, if any."""
+    """Return the outputs that a log names, if any.
+
+    Raises:
+        RunError: a key of `output` is wrong, or its unit is missing.
+    """
     if "output" not in log.values:
         return None
     table = log.table("output")
@@ -55,7 +59,11 @@ def measured_of(log: TomlTable) -> Measured | None:
 
 
 def not_seen_of(table: TomlTable) -> tuple[float, ...] | None:
-    """Return the numbers that a mapping declares as not seen; None if it keeps every number."""
+    """Return the numbers that a mapping declares as not seen; None if it keeps every number.
+
+    Raises:
+        RunError: `not_seen` is neither auto, keep nor a list of numbers.
+    """
     given = table.get("not_seen", (str, list), "auto")
     if isinstance(given, str):
         if given not in ("auto", "keep"):
@@ -67,7 +75,11 @@ def not_seen_of(table: TomlTable) -> tuple[float, ...] | None:
 
 
 def columns_of(table: TomlTable) -> list[Any]:
-    """Return the columns that a table names, with nested lists flattened."""
+    """Return the columns that a table names, with nested lists flattened.
+
+    Raises:
+        RunError: there are none, or one is no name and no number.
+    """
     listed = table.get("columns", (list,), [])
     flat: list[Any] = [cell for entry in listed for cell in (entry if isinstance(entry, list) else [entry])]
     if not flat or not all(isinstance(cell, str | int) and not isinstance(cell, bool) for cell in flat):

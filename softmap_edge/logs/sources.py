@@ -23,6 +23,7 @@ from softmap_edge.logs.measured import Column
 from softmap_edge.logs.readers.columns import Columns
 from softmap_edge.logs.readers.kinds import ARRAYS, PACKED, RECORDINGS, kind_of
 from softmap_edge.logs.readers.mcap_file import Topic, open_mcap, topics
+from softmap_edge.logs.readers.messages import no_message, several_topics
 from softmap_edge.logs.readers.packed import unpack
 from softmap_edge.logs.readers.parquet_log import episodes_in
 from softmap_edge.logs.readers.parts import JoinedColumns
@@ -161,15 +162,11 @@ def _recording(parts: Sequence[Part], topic: str | None, most: int | None = None
     held = [[one for one in topics_of(part) if one.count] for part in parts]
     named = {one.name: one.type for listed in held for one in listed}
     if topic is None and len(named) != 1:
-        listed = ", ".join(f"{name} ({kind})" for name, kind in named.items())[:300] or "none"
-        raise RunError(f'{parts[0].given}: holds {len(named)} topics ({listed}); name one in the mapping: topic = "…"')
+        raise several_topics(parts[0].given, named)
     asked = next(iter(named)) if topic is None else topic
     holders = [part for part, listed in zip(parts, held) if asked in (one.name for one in listed)]
     if not holders:
-        raise RunError(
-            f"{parts[0].given}: no message of topic {asked[:60]}; there are "
-            f"{', '.join(sorted(named))[:200] or 'none'}; change `topic` in the mapping"
-        )
+        raise no_message(parts[0].given, asked, named)
     opened = tuple((part.path.name, open_topic(part, asked, most)) for part in holders)
     return opened[0][1] if len(opened) == 1 else JoinedColumns(parts[0].given, opened, "log_time")
 

@@ -1,8 +1,8 @@
-"""Reads the columns of one log that a mapping asks for, and its time; what is odd about either is told.
+"""Read the columns of one log that a mapping names, and its time; report what is odd about either.
 
-Whatever the format, a log is named columns (`softmap_edge/logs/`, one reader each). Rows that are the row before once
-more, time and all, are left out; a time that stands still or goes backwards is refused unless the mapping says what
-to do; missing rows are counted where the log has a regular clock.
+Whatever the format, a log is named columns (`softmap_edge/logs/`, one reader each). A row that repeats the row before,
+time and all, is left out. A time that stands still or goes backwards is refused unless the mapping states a treatment.
+Missing rows are counted where the log has a regular clock.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ class LogTable:
         return self.units.get(self.names[place(self.path, self.names, column)])
 
     def rows(self, keep: NDArray[np.bool_]) -> LogTable:
-        """Return the same with some of its rows."""
+        """Return the same with the rows (rows,) to `keep`."""
         values = {k: column[keep] for k, column in self.values.items()}
         return replace(self, t=self.t[keep], values=values, labels=None if self.labels is None else self.labels[keep])
 

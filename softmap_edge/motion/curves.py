@@ -116,7 +116,7 @@ def _csv(file: Path, text: str) -> list[tuple[float, float]]:
         except ValueError:
             if k == 0:
                 continue
-            raise SoftmapError(f"{file}: line {k + 1} is {','.join(row)!r:.60}; two numbers x,y are wanted") from None
+            raise SoftmapError(f"{file}: line {k + 1} is {','.join(row)!r:.60}; two numbers x,y are expected") from None
         points.append((x, y))
     return points
 

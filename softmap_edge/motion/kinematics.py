@@ -92,7 +92,7 @@ class Kinematics:
         unit = gravity is None or (hangs.shape == (3,) and abs(np.linalg.norm(hangs) - 1.0) < 1e-3)
         if not unit or not 0.0 <= load <= HEAVIEST:
             raise SoftmapError(
-                f"gravity {hangs.tolist()}, load {load:g} g; a unit vector (3,) and 0 to {HEAVIEST:g} g are wanted"
+                f"gravity {hangs.tolist()}, load {load:g} g; a unit vector (3,) and 0 to {HEAVIEST:g} g are expected"
             )
         self.model, self.axes = model, axes
         self.counted: NDArray[np.bool_] = np.array([axis in axes for axis in AXES])
@@ -258,5 +258,5 @@ def _points(targets: ArrayLike) -> Floats:
         raise SoftmapError(f"targets of shape {points.shape}, expected (T, 3): x, y, z in mm, base frame")
     if not np.isfinite(points).all():
         wrong = int(np.argmin(np.isfinite(points).all(axis=1)))
-        raise SoftmapError(f"target {wrong} is {points[wrong].tolist()}; finite numbers in mm are wanted")
+        raise SoftmapError(f"target {wrong} is {points[wrong].tolist()}; finite numbers in mm are expected")
     return points

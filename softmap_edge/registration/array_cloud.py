@@ -15,21 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.errors import RegistrationError, brief
+from softmap_edge.npz import MOST_ARRAYS, OBJECTS, array_header, check_directory
 from softmap_edge.registration.columns import choose
 
 Floats = NDArray[np.float64]
 
 MOST_BYTES = 256 << 20  # of an array; ten million points
 _ROWS = 2000  # from which columns are decided
-
-
-def names_in(path: Path) -> list[str]:
-    """Return the names of the arrays in an archive; none if the file is no archive."""
-    try:
-        with zipfile.ZipFile(path) as archive:
-            return [name.removesuffix(".npy") for name in archive.namelist()]
-    except Exception:  # zipfile raises a dozen kinds on damaged files; the reader of the arrays reports it
-        return []
 
 
 def read_npy(path: Path, notes: list[str]) -> Floats:
@@ -85,16 +77,21 @@ def _check_one(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
 
 def _arrays(path: Path) -> dict[str, NDArray[Any]]:
     try:
+        check_directory(path, RegistrationError)
         with zipfile.ZipFile(path) as archive:
             entries = archive.infolist()
             total = sum(entry.file_size for entry in entries)
-            if total > MOST_BYTES or len(entries) > 1000:
-                raise ValueError(f"{len(entries)} arrays of {total} bytes, at most {MOST_BYTES} are read")
+            if total > MOST_BYTES or len(entries) > MOST_ARRAYS:
+                raise ValueError(
+                    f"{len(entries)} arrays of {total} bytes, at most {MOST_ARRAYS} of {MOST_BYTES} bytes are read"
+                )
             found = {}
             for entry in entries:
                 with archive.open(entry) as stream:
                     found[entry.filename.removesuffix(".npy")] = _array(stream, entry.file_size)
             return found
+    except RegistrationError:
+        raise
     except Exception as fault:
         raise RegistrationError(f"{path}: not a readable .npz archive ({brief(fault)}); save it again") from None
 
@@ -104,18 +101,14 @@ def _array(stream: IO[bytes], size: int) -> NDArray[Any]:
     if size > MOST_BYTES:
         raise ValueError(f"{size} bytes, at most {MOST_BYTES} are read")
     content = io.BytesIO(stream.read(size + 1))
-    version = np.lib.format.read_magic(content)
-    read = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
-    if version not in read:
-        raise ValueError(f"array format {version}")
-    shape, fortran, dtype = read[version](content)
-    if dtype.hasobject:
-        raise ValueError("it holds Python objects, which are never read")
+    head = array_header(content)
+    if head.dtype.hasobject:
+        raise ValueError(OBJECTS)
     there = len(content.getbuffer()) - content.tell()
-    if any(n < 0 for n in shape) or int(np.prod(shape, dtype=object)) * dtype.itemsize != there:
-        raise ValueError(f"shape {shape} of {dtype} does not fit the {there} bytes that are there")
-    array = np.frombuffer(content.getbuffer(), dtype, offset=content.tell()) if there else np.zeros(0, dtype)
-    return array.reshape(shape, order="F" if fortran else "C")
+    if head.bytes != there:
+        raise ValueError(f"shape {head.shape} of {head.dtype} does not fit the {there} bytes that are there")
+    array = np.frombuffer(content.getbuffer(), head.dtype, offset=content.tell()) if there else np.zeros(0, head.dtype)
+    return array.reshape(head.shape, order="F" if head.fortran else "C")
 
 
 def _points(array: NDArray[Any], path: Path, what: str, notes: list[str]) -> Floats:

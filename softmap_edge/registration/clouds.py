@@ -17,7 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.errors import RegistrationError
-from softmap_edge.registration.array_cloud import names_in, read_archive, read_npy
+from softmap_edge.npz import archive_names
+from softmap_edge.registration.array_cloud import read_archive, read_npy
 from softmap_edge.registration.pcd import is_pcd, read_pcd
 from softmap_edge.registration.ply import read_ply
 from softmap_edge.registration.text_cloud import read_text
@@ -66,7 +67,7 @@ def read_clouds(paths: Sequence[str | Path], notes: list[str] | None = None) -> 
     """
     files = [Path(path) for path in paths]
     found: list[str] = [] if notes is None else notes
-    if len(files) == 1 and files[0].is_file() and "t_seen" in names_in(files[0]):
+    if len(files) == 1 and "t_seen.npy" in archive_names(files[0]):
         run = Run.load(files[0])
         if run.points is None:
             raise RegistrationError(f"{files[0]}: a run without clouds (`points`, `start`); nothing to register")

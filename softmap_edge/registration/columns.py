@@ -126,7 +126,7 @@ def _by_values(sample: Floats, label: str, why: str) -> tuple[Triple, str]:
 
 
 def no_coordinates(sample: Floats) -> dict[int, str]:
-    """Return the columns that cannot be coordinates, each with the reason; three are left where possible."""
+    """Return the columns of a sample (M, C) that cannot be coordinates, with the reason; three are left if possible."""
     rows, count = sample.shape
     known = np.isfinite(sample)
     sample = np.clip(sample, -1e12, 1e12)  # damaged values must not overflow
@@ -135,7 +135,7 @@ def no_coordinates(sample: Floats) -> dict[int, str]:
     decimals = [k for k in range(count) if k not in refused and k not in whole]
     for k in (k for k in range(count) if k not in refused):
         values = sample[known[:, k], k]
-        if len(values) >= _LEAST_ROWS and _even(values):
+        if len(values) >= _LEAST_ROWS and _counts_up(values):
             refused[k] = COUNTS
         elif len(decimals) >= 3 and k in whole:
             refused[k] = "holds whole numbers"
@@ -148,7 +148,7 @@ def no_coordinates(sample: Floats) -> dict[int, str]:
     return refused
 
 
-def _even(values: Floats) -> bool:
+def _counts_up(values: Floats) -> bool:
     """Whether values grow by one step from row to row."""
     steps = np.diff(values)
     return bool(steps[0]) and bool(np.all(np.abs(steps - steps[0]) <= 1e-6 * abs(steps[0])))

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.errors import RegistrationError, brief
+from softmap_edge.logs.readers.cells import is_plain
 from softmap_edge.registration.columns import COUNTS, FEW, NUMBERS, Triple, choose, names_places, no_coordinates
 
 Floats = NDArray[np.float64]
@@ -99,7 +100,7 @@ def _found(lines: Sequence[str], path: Path) -> tuple[_Dialect, int]:
     some = [k for k, line in enumerate(lines) if not _is_comment(line)]
     best, most = None, 0
     for dialect in _DIALECTS:
-        numbers = {k: sum(map(_is_number, dialect.cells(lines[k]))) for k in some}
+        numbers = {k: sum(map(is_plain, dialect.cells(lines[k]))) for k in some}
         rows = [k for k, count in numbers.items() if count >= 3]
         if len(rows) > most:
             best, most = (dialect, rows[0]), len(rows)
@@ -117,14 +118,6 @@ def _is_scan_table(lines: Sequence[str], some: Sequence[int]) -> bool:
     return [len(lines[k].split()) for k in some[:10]] == [1, 1, 3, 3, 3, 3, 4, 4, 4, 4]
 
 
-def _is_number(cell: str) -> bool:
-    try:
-        float(cell)
-    except ValueError:
-        return False
-    return "_" not in cell
-
-
 def _value(cell: str) -> float:
     """Return the number in a cell, NaN if it stands for "not seen"; raise ValueError for anything else."""
     text = cell.strip().strip('"')
@@ -140,7 +133,7 @@ def _sample(rows: Sequence[Sequence[str]]) -> Floats:
     width = int(np.median([len(row) for row in rows]))
     values = np.full((len(rows), width), np.nan)
     for row, cells in zip(values, rows):
-        row[: min(width, len(cells))] = [float(cell) if _is_number(cell) else np.nan for cell in cells[:width]]
+        row[: min(width, len(cells))] = [float(cell) if is_plain(cell) else np.nan for cell in cells[:width]]
     while values.shape[1] > 3 and not np.isfinite(values[:, -1]).any():  # a separator at the end of each line
         values = values[:, :-1]
     return values
@@ -153,7 +146,7 @@ def _header(lines: Sequence[str], dialect: _Dialect, width: int) -> list[str]:
         for names in ways:
             if len(names) >= 3 and names_places(names):
                 return names
-    fits = (names for ways in split for names in ways[:1] if 3 <= len(names) <= width and not _is_number(names[0]))
+    fits = (names for ways in split for names in ways[:1] if 3 <= len(names) <= width and not is_plain(names[0]))
     return next(fits, [])
 
 

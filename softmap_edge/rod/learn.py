@@ -24,7 +24,7 @@ from softmap_edge.diagnosis.base_motion import kept_places
 from softmap_edge.diagnosis.lost import without_lost
 from softmap_edge.errors import RunError, SoftmapError
 from softmap_edge.folds import folds
-from softmap_edge.home_command import home_command
+from softmap_edge.home_command import far_from_home
 from softmap_edge.learned_in import LearnedIn
 from softmap_edge.model import NOMINAL, Model
 from softmap_edge.plane import plane_of
@@ -274,8 +274,7 @@ def _short(seen: Seen, fitted: Fitted, asked: float) -> list[str]:
 
 def _rest(reach: Floats) -> Floats:
     """Return the command (C,) at rest: 0, or the middle of a range (C, 2) that lies far from 0."""
-    home = home_command(reach)
-    return np.where((home > reach[:, 0]) & (home < reach[:, 1]), home, 0.0)
+    return np.where(far_from_home(reach), reach.mean(axis=1), 0.0)
 
 
 def _from_home(commands: Floats, run: Run) -> list[str]:

@@ -119,17 +119,17 @@ def started(port: str, baud: int, asked: Sequence[Member]) -> list[str]:
 
 def _one(bus: _core.ServoBus, member: Member) -> Seen:
     before = bus.counts()["unasked"]
-    if (told := pinged(bus, member.id)) is None:
+    if (answer := pinged(bus, member.id)) is None:
         return Seen(member.id, None, ())
-    found = Found(bus.port, bus.baud, member.id, *told)
+    found = Found(bus.port, bus.baud, member.id, *answer)
     if found.number != member.number:
-        names = [model["name"] if (model := numbered(number)) else "an unknown model" for number in told[:1]]
+        name = found.model["name"] if found.model else "an unknown model"
         listed = numbered(member.number)
-        said = (
-            f"it is {names[0]} ({found.number}), the rig says {listed['name'] if listed else 'another model'} "
-            f"({member.number}); mend the rig, or connect the servo that it names"
+        wrong_model = (
+            f"it is {name} ({found.number}), the rig lists {listed['name'] if listed else 'another model'} "
+            f"({member.number}); correct the rig, or connect the servo that it lists"
         )
-        return Seen(member.id, found, (said,))
+        return Seen(member.id, found, (wrong_model,))
     try:
         values = registers(bus, member.id)
     except NoAnswer:

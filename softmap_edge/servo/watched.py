@@ -26,6 +26,13 @@ from softmap_edge.servo.rig import Rig
 LOOK = 0.1  # s between two looks for reports
 
 
+def _has_more(pipe: int, seconds: float) -> bool:
+    """Return whether a pipe has bytes or has ended, after waiting for at most `seconds`."""
+    poll = select.poll()  # `select` takes descriptors below 1024 only
+    poll.register(pipe, select.POLLIN)
+    return bool(poll.poll(1e3 * seconds))
+
+
 class Watched:
     """What is heard of a loop, and who releases its servos when it can do so no more."""
 
@@ -103,7 +110,7 @@ class Watched:
         """Take the loop's reports until it ends; release its servos if it dies or freezes under torque."""
         whole = False
         while not whole:
-            if select.select([pipe], [], [], LOOK)[0]:
+            if _has_more(pipe, LOOK):
                 whole = not self._take()
                 continue
             self._silent += 1
@@ -121,7 +128,7 @@ class Watched:
     def _take(self) -> bool:
         """Process received reports; return whether more may come. Also called after each step of simulated time."""
         with self._reading:
-            while self._reports >= 0 and select.select([self._reports], [], [], 0.0)[0]:
+            while self._reports >= 0 and _has_more(self._reports, 0.0):
                 self._silent, more = 0, os.read(self._reports, 65536)
                 if not more:
                     return False

@@ -124,11 +124,11 @@ def onward(report: dict[str, Any]) -> str:
     """Return what leads a program on from a state that follows no commands."""
     state, why = report.get("state", "off"), report.get("cause")
     if state == "fault" and why == "emergency":
-        return "release it, see that all is well, then acknowledge it or begin anew"
+        return "release it, see that all is well, then acknowledge it or begin again"
     if state == "fault" and why == "loop":
-        return "begin anew"
+        return "begin again"
     if state == "fault" and why not in LOSES_HOME:
-        return "mend that, then acknowledge it or begin anew"
+        return "mend that, then acknowledge it or begin again"
     if why == "hardware" and state in ("fault", "off", "connected"):
         return f"{restarts(report)}, then home the robot again (`softmap servo home`)"
     if state in ("fault", "off", "connected"):

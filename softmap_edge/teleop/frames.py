@@ -161,7 +161,9 @@ class CameraFrames:
             return frame
         if came:
             raise TeleopError(f"{self.name}: is gone (unplugged?); plug it in and begin again")
-        raise TeleopError(f"{self.name}: no picture for {self.silence:g} s; plug it in anew, or close who else uses it")
+        raise TeleopError(
+            f"{self.name}: no picture for {self.silence:g} s; plug it in again, or close the program that uses it"
+        )
 
     def __iter__(self) -> Iterator[Frame]:
         """Yield the newest picture again and again, until the camera is gone (TeleopError)."""
@@ -213,10 +215,14 @@ def _opened(index: int) -> Any:
             f"camera {index}: there is no {file}; {here}; give another camera, a video file or udp://:PORT"
         )
     if not os.access(file, os.R_OK | os.W_OK):
-        raise TeleopError(f"camera {index}: no permission for {file}; run sudo usermod -aG video $USER and log in anew")
+        raise TeleopError(
+            f"camera {index}: no permission for {file}; run sudo usermod -aG video $USER and log in again"
+        )
     device = cv2.VideoCapture(index, cv2.CAP_V4L2)
     if not device.isOpened():
-        raise TeleopError(f"camera {index}: {file} cannot be opened; close who else uses it, or try another number")
+        raise TeleopError(
+            f"camera {index}: {file} cannot be opened; close the program that uses it, or try another number"
+        )
     for key, value in (("FRAME_WIDTH", WIDTH), ("FRAME_HEIGHT", HEIGHT), ("FPS", RATE), ("BUFFERSIZE", 1)):
         device.set(getattr(cv2, f"CAP_PROP_{key}"), value)
     return device

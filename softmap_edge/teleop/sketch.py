@@ -10,7 +10,7 @@ from softmap_edge.ticks import Calibration
 
 Floats = NDArray[np.float64]
 
-LONGEST = 0.5  # s between two looks: after more the effects begin anew, at rest
+LONGEST = 0.5  # s between two looks: after more the effects begin again, at rest
 
 
 class Sketch:

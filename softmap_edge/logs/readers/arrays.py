@@ -79,7 +79,7 @@ def columns_of_arrays(
 
     Args:
         path: the file.
-        arrays: numbers of any shape, by name.
+        arrays: numbers by name, of shape (K,), (K, C), (K, M, 3) or (K, A, B); others are left out.
         texts: columns of text, by name.
         labels: names for the columns of a two-dimensional array, in place of their numbers.
         notes: sentences on changes that the reader made.

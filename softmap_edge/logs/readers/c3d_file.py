@@ -1,7 +1,7 @@
 """Reads the markers of a C3D file with PyPI's `c3d`: columns `frame`, `time` and `LABEL.x`, `LABEL.y`, `LABEL.z`.
 
 A point whose residual is negative, or that is exactly (0, 0, 0), was not seen. Analog channels are left out. Sizes are
-checked against the file before anything is read, since a damaged header may promise billions of frames.
+checked against the file before anything is read, since a damaged header may state billions of frames.
 """
 
 from __future__ import annotations
@@ -76,7 +76,7 @@ def _labels(reader: Any) -> list[str]:
         found += [raw[k : k + width].decode("utf-8", "replace") for k in range(0, len(raw), max(width, 1))]
     found = ["".join(c for c in label if c.isprintable()).strip() for label in found[:count]]
     found += [""] * min(count - len(found), 2**16)
-    taken: set[str] = set()  # beside the list: a damaged file may promise 65 535 of them
+    taken: set[str] = set()  # a set, for a damaged file may state 65 535 of them
     unique: list[str] = []
     for k, label in enumerate(found):
         label = label or f"marker {k}"

@@ -16,13 +16,14 @@ import re
 import struct
 from dataclasses import dataclass
 
+from softmap_edge.logs.readers.packed import ZSTD
+
 PRIMITIVES = {"bool": "?", "byte": "B", "char": "B", "int8": "b", "uint8": "B", "int16": "h", "uint16": "H"}
 PRIMITIVES |= {"int32": "i", "uint32": "I", "int64": "q", "uint64": "Q", "float32": "f", "float64": "d"}
 LONGEST = 1024  # elements of a sequence that become columns
 MOST = 4096  # numbers of one message
 _DEEPEST = 16  # types within types
 _PADDING = 8  # bytes after a message that some writers leave
-_ZSTD = b"\x28\xb5\x2f\xfd"
 _LARGEST = 2**26  # bytes of one message when unpacked
 _BYTES = ("byte", "char", "int8", "uint8")
 _TIMES = ("builtin_interfaces/Time", "builtin_interfaces/Duration")
@@ -119,7 +120,7 @@ def read_message(name: str, types: Types, data: bytes, complete: bool = False) -
 
 def _plain(data: bytes) -> bytes:
     """Return a message as CDR, unpacked where rosbag2 packed each message by itself."""
-    if not data.startswith(_ZSTD):
+    if not data.startswith(ZSTD):
         return data
     try:
         import zstandard

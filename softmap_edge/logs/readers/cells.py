@@ -50,11 +50,16 @@ def find_delimiter(line: str) -> str:
 
 def is_number(cell: str) -> bool:
     """Return whether a cell is a number, with a decimal point or comma."""
+    return is_plain(cell.replace(",", "."))
+
+
+def is_plain(cell: str) -> bool:
+    """Return whether a cell is a number with a decimal point; Python's `1_000` is a name or a fault of the file."""
     try:
-        float(cell.replace(",", "."))
+        float(cell)
     except ValueError:
         return False
-    return True
+    return "_" not in cell
 
 
 def is_value(cell: str) -> bool:

@@ -53,7 +53,8 @@ def _opened(path: Path, what: str, parse: Callable[[Path], Answer]) -> ArrayColu
     try:
         return columns_of_arrays(path, answer.arrays, answer.document["texts"], left_out=left_out)
     except RunError as fault:
-        raise RunError(f"{fault}; {_EXPORT}" if "object" in str(fault) else str(fault)) from None
+        opaque = any("an object" in entry for entry in left_out)
+        raise RunError(f"{fault}; {_EXPORT}" if opaque else str(fault)) from None
 
 
 class _Found:
@@ -76,7 +77,7 @@ class _Found:
             )
 
     def number(self, count: int) -> None:
-        """Count numbers before they are read."""
+        """Count numbers before they are read; raise RunError where a file holds too many."""
         self.numbers += count
         if self.numbers > MOST:
             raise RunError(f"{self.path}: holds more than {MOST} numbers; save the signals of the log alone")
@@ -93,7 +94,7 @@ class _Found:
 
 # --- v4 to v7, in the child ----------------------------------------------------------------
 def read_v7(path: Path) -> Answer:
-    """Read every array of numbers of a MATLAB file; runs in the child."""
+    """Read every array of numbers of a MATLAB file; runs in the child. Raises RunError as `open_matlab`."""
     try:
         import scipy.io
     except ImportError:
@@ -169,7 +170,7 @@ def _cell_text(cell: Any) -> str | None:
 
 # --- HDF5, in the child --------------------------------------------------------------------
 def read_hdf5(path: Path) -> Answer:
-    """Read every array of numbers of an HDF5 file; runs in the child."""
+    """Read every array of numbers of an HDF5 file; runs in the child. Raises RunError as `open_hdf5`."""
     try:
         import h5py
     except ImportError:

@@ -123,7 +123,9 @@ class Account:
         if self.closing is not None and self.closing.summary is False:
             lines.append("the checksum of its index does not match")
         if self.closing is not None and self.closing.data is False:
-            lines.append("the checksum of its data does not match, and only what its chunks vouch for is read")
+            lines.append(
+                "the checksum of its data does not match, and only chunks with a checksum that matches are read"
+            )
         return lines
 
     def _seconds(self, time: int, unit: bool = True) -> str:

@@ -17,7 +17,7 @@ from softmap_edge.errors import RecordingWarning, RunError
 from softmap_edge.logs.readers.cdr import CdrError, Types, parse_definition, read_message
 from softmap_edge.logs.readers.columns import HeldColumns
 from softmap_edge.logs.readers.mcap_messages import Messages
-from softmap_edge.logs.readers.messages import MessageRows
+from softmap_edge.logs.readers.messages import MessageRows, no_message, several_topics
 from softmap_edge.mcap_records import MAGIC
 
 __all__ = ["MAGIC", "Topic", "open_mcap", "topics"]
@@ -68,8 +68,7 @@ def open_mcap(path: Path, topic: str | None, most: int | None = None, shown: Pat
     if topic is None:
         found = topics(path, shown)
         if len(found) != 1:
-            named = ", ".join(f"{t.name} ({t.type})" for t in found)[:300] or "none"
-            raise RunError(f'{path}: holds {len(found)} topics ({named}); name one in the mapping: topic = "…"')
+            raise several_topics(path, {one.name: one.type for one in found})
         topic = found[0].name
     messages = Messages(path, shown)
     rows = MessageRows(path, topic)
@@ -97,8 +96,7 @@ def open_mcap(path: Path, topic: str | None, most: int | None = None, shown: Pat
             raise RunError(f"{damage}; nothing of topic {topic[:60]} is left")
         warnings.warn(RecordingWarning(damage), stacklevel=2)
     if not rows.rows:
-        listed = ", ".join(sorted(seen))[:200] or "none"
-        raise RunError(f"{path}: no message of topic {topic[:60]}; there are {listed}; change `topic` in the mapping")
+        raise no_message(path, topic, seen)
     return rows.columns(tuple(notes))
 
 

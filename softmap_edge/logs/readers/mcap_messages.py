@@ -1,6 +1,7 @@
 """Read the messages of an MCAP file whose checksums match, and count the others.
 
-A chunk whose checksum, size or compression fails is left out, and those after it are still read. Pinned by
+A chunk whose checksum, size or compression fails is left out, and those after it are still read. A chunk without a
+checksum is left out where the checksum of all data fails. Pinned by
 tests/test_mcap_damage.py and tests/test_import_mcap.py.
 """
 
@@ -15,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 from softmap_edge.errors import RunError, brief
 from softmap_edge.logs.readers.mcap_account import Account, Lost
+from softmap_edge.logs.readers.packed import ZSTD_WINDOW
 from softmap_edge.mcap_records import (
     CHANNEL,
     CHUNK,
@@ -35,7 +37,6 @@ if TYPE_CHECKING:
     from mcap.records import Channel, Message, Schema
 
 _LARGEST = 2**28  # bytes of one chunk when unpacked; writers use 1 to 16 MB
-_WINDOW = 2**27  # bytes that zstd may look back
 
 
 class Bad(ValueError):
@@ -121,6 +122,8 @@ class Messages:
             items = list(split(data))
             if not all(fits(kind, body, len(body)) for kind, body in items if kind in (SCHEMA, CHANNEL, MESSAGE)):
                 raise Bad("its records do not fill it")
+            if chunk.crc == 0 and data and self._sound is False:
+                raise Bad("it carries no checksum, and that of the data does not match")
         except ValueError as fault:
             stated = {} if account.closing is None else account.closing.spans
             span = stated.get(record.start, (chunk.first, chunk.last))
@@ -208,7 +211,7 @@ def _unpack(chunk: Chunk) -> bytes:
     if chunk.compression == "zstd":
         import zstandard
 
-        unpacker = zstandard.ZstdDecompressor(max_window_size=_WINDOW)
+        unpacker = zstandard.ZstdDecompressor(max_window_size=ZSTD_WINDOW)
         with unpacker.stream_reader(io.BytesIO(chunk.data)) as stream:
             return bytes(stream.read(chunk.size + 1))
     if chunk.compression == "lz4":

@@ -1,7 +1,11 @@
-"""Gather decoded messages of one topic as a table: one row per message, columns by name, `time` and `log_time`."""
+"""Gather decoded messages of one topic as a table: one row per message, columns by name, `time` and `log_time`.
+
+Also the errors of readers of recordings whose topic is not there, or not named.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +15,18 @@ from softmap_edge.errors import RunError
 from softmap_edge.logs.readers.columns import Array, HeldColumns
 
 NUMBERS = 2**27  # numbers of one topic: 1 GiB
+
+
+def several_topics(path: Path, types: Mapping[str, str]) -> RunError:
+    """Return the error that a mapping must name one of the topics (name → type) of a recording."""
+    named = ", ".join(f"{name} ({kind})" for name, kind in types.items())[:300] or "none"
+    return RunError(f'{path}: holds {len(types)} topics ({named}); name one in the mapping: topic = "…"')
+
+
+def no_message(path: Path, topic: str, there: Iterable[str]) -> RunError:
+    """Return the error that a recording holds no message of a topic, with the topics that are `there`."""
+    listed = ", ".join(sorted(there))[:200] or "none"
+    return RunError(f"{path}: no message of topic {topic[:60]}; there are {listed}; change `topic` in the mapping")
 
 
 class MessageRows:

@@ -10,7 +10,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from softmap_edge.errors import RunError
-from softmap_edge.logs.readers.text import TextColumns, first_lines, is_number, split
+from softmap_edge.logs.readers.cells import is_number, split
+from softmap_edge.logs.readers.text import TextColumns, first_lines
 
 _HEAD = 40  # lines in which the rows must begin
 _UNITS = {"meters": "m", "metres": "m", "millimeters": "mm", "millimetres": "mm", "centimeters": "cm", "m": "m"}

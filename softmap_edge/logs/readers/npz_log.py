@@ -6,7 +6,6 @@ is unpacked, and the checksums of the archive are checked. Arrays with named fie
 
 from __future__ import annotations
 
-import io
 import zipfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -18,10 +17,9 @@ from numpy.typing import NDArray
 from softmap_edge.errors import RunError, brief
 from softmap_edge.logs.readers.arrays import MOST_COLUMNS, ArrayColumns, columns_of_arrays
 from softmap_edge.logs.readers.in_child import MOST
+from softmap_edge.npz import MOST_ARRAYS, array_header
 
 LIMIT = 2**29  # bytes of all arrays when unpacked
-_ENTRIES = 1000
-_HEADER = 10_000  # characters of the header of an array
 
 
 def open_npz(path: Path) -> ArrayColumns:
@@ -65,9 +63,10 @@ def _arrays(path: Path, left_out: list[str]) -> Iterator[tuple[str, NDArray[Any]
     with zipfile.ZipFile(path) as archive:
         entries = archive.infolist()
         total = sum(entry.file_size for entry in entries)
-        if total > LIMIT or len(entries) > _ENTRIES:
+        if total > LIMIT or len(entries) > MOST_ARRAYS:
             raise RunError(
-                f"{path}: {len(entries)} arrays of {total} bytes when unpacked, at most {_ENTRIES} of {LIMIT} are read"
+                f"{path}: {len(entries)} arrays of {total} bytes when unpacked, at most {MOST_ARRAYS} of {LIMIT} are "
+                "read"
             )
         for entry in entries:
             name = entry.filename.removesuffix(".npy")
@@ -83,27 +82,20 @@ def _arrays(path: Path, left_out: list[str]) -> Iterator[tuple[str, NDArray[Any]
 
 def _array(stream: IO[bytes], size: int) -> NDArray[Any] | None:
     """Return one array; None where it holds Python objects."""
-    version = np.lib.format.read_magic(stream)
-    if version not in ((1, 0), (2, 0)):
-        raise ValueError(f"array format {version}")
-    read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-    shape, turned, dtype = read(stream, max_header_size=_HEADER)
-    if dtype.hasobject:
+    head = array_header(stream)
+    if head.dtype.hasobject:
         return None
-    if any(n < 0 for n in shape):
-        raise ValueError(f"shape {shape}")
-    bytes_ = int(np.prod(shape, dtype=object)) * dtype.itemsize
-    if bytes_ > size:
-        raise ValueError(f"shape {shape} of {dtype} needs {bytes_} bytes, {size} are there")
-    data = bytearray(bytes_)
+    if head.bytes > size:
+        raise ValueError(f"shape {head.shape} of {head.dtype} needs {head.bytes} bytes, {size} are there")
+    data = bytearray(head.bytes)
     view, at = memoryview(data), 0
-    while at < bytes_:
-        piece = stream.read(min(bytes_ - at, 2**22))
+    while at < head.bytes:
+        piece = stream.read(min(head.bytes - at, 2**22))
         if not piece:
-            raise ValueError(f"{at} of {bytes_} bytes are there")
+            raise ValueError(f"{at} of {head.bytes} bytes are there")
         view[at : at + len(piece)] = piece
         at += len(piece)
-    return np.ndarray(shape, dtype, io.BytesIO(data).getbuffer(), order="F" if turned else "C")
+    return np.ndarray(head.shape, head.dtype, data, order="F" if head.fortran else "C")
 
 
 def _sort(
@@ -126,7 +118,7 @@ def _sort(
 
 
 def seconds_of(times: NDArray[Any]) -> NDArray[np.float64]:
-    """Return dates (since 1970) or durations in s; NaN where there is none."""
+    """Return dates (since 1970) or durations of any shape in s; NaN where there is none."""
     absent = np.isnat(times)
     unit = f"{times.dtype.kind}8[ns]"
     seconds = times.astype(unit.replace("ns", "s"))

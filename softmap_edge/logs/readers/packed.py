@@ -23,7 +23,7 @@ GZIP = b"\x1f\x8b\x08"
 LIMIT = 2**32  # bytes when unpacked
 _PIECE = 2**20  # bytes at a time
 _SMALL = 2**11  # packed bytes at a time: each block of 4 bytes may unpack to 128 KiB
-_WINDOW = 2**27  # bytes that zstd may look back: what `zstd -d` takes
+ZSTD_WINDOW = 2**27  # bytes that zstd may look back: what `zstd -d` takes
 _ENDINGS = (".zstd", ".zst", ".gz")
 
 
@@ -88,7 +88,7 @@ def _pieces(path: Path, packed: BinaryIO) -> Iterator[bytes]:
             f"{path}: files packed by zstd need zstandard; run pip install 'softmap-edge[logs]', or zstd -d {path.name}"
         ) from None
     try:
-        yield from _frames(zstandard.ZstdDecompressor(max_window_size=_WINDOW), packed)
+        yield from _frames(zstandard.ZstdDecompressor(max_window_size=ZSTD_WINDOW), packed)
     except zstandard.ZstdError as fault:
         raise RunError(f"{path}: is a damaged packed file ({brief(fault)}); copy it again") from None
 

@@ -86,7 +86,11 @@ def read_episodes(path: Path) -> Answer:
 
 
 def read_parquet(path: Path, episode: int | None, first: bool) -> Answer:
-    """Read the columns of one episode, or of a file without episodes; runs in the child."""
+    """Read the columns of one episode, or of a file without episodes; runs in the child.
+
+    Raises:
+        RunError: as `open_parquet`.
+    """
     with _file(path) as file:
         import pyarrow
 
@@ -129,7 +133,11 @@ class _Gathered:
         return np.asarray(each == self.episode)
 
     def add(self, name: str, values: NDArray[Any] | None, keep: NDArray[np.bool_] | None) -> None:
-        """Add the values of a column; None where they have no common shape."""
+        """Add the rows to `keep` (rows,) of the values (rows, …) of a column; None where they have no common shape.
+
+        Raises:
+            RunError: the file holds too many numbers.
+        """
         had = self.parts[name]
         if values is None or (had and values.shape[1:] != had[0].shape[1:]):
             self.ragged.add(name)
@@ -141,7 +149,11 @@ class _Gathered:
         had.append(values)
 
     def answer(self) -> Answer:
-        """Return all columns as the child's answer."""
+        """Return all columns as the child's answer.
+
+        Raises:
+            RunError: the file does not hold the episode.
+        """
         if EPISODE in self.names and not self.parts[EPISODE]:
             listed = f"{min(self.seen)} to {max(self.seen)}" if self.seen else "none"
             raise RunError(

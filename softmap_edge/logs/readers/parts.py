@@ -10,6 +10,7 @@ import numpy as np
 
 from softmap_edge.errors import RunError
 from softmap_edge.logs.readers.columns import Array, Cells, Columns
+from softmap_edge.logs.time_text import TimeText
 
 
 @dataclass(frozen=True)
@@ -35,6 +36,15 @@ class JoinedColumns:
     def units(self) -> dict[str, str]:
         """The units that the files state."""
         return {name: unit for _, columns in reversed(self.parts) for name, unit in columns.units.items()}
+
+    @property
+    def clocks(self) -> dict[int, TimeText]:
+        """The columns of dates or times."""
+        names, found = self.names, dict[int, TimeText]()
+        for _, columns in reversed(self.parts):
+            own: dict[int, TimeText] = getattr(columns, "clocks", {})
+            found |= {names.index(columns.names[k]): clock for k, clock in own.items()}
+        return found
 
     @property
     def where(self) -> str:

@@ -22,7 +22,7 @@ from softmap_edge.logs.readers.cdr import CdrError, Types, parse_definition, rea
 from softmap_edge.logs.readers.columns import HeldColumns
 from softmap_edge.logs.readers.mcap_file import Topic
 from softmap_edge.logs.readers.message_types import known_definition
-from softmap_edge.logs.readers.messages import MessageRows
+from softmap_edge.logs.readers.messages import MessageRows, no_message, several_topics
 
 MAGIC = b"SQLite format 3\0"
 LIMIT = 2**33  # bytes of one file
@@ -84,14 +84,9 @@ def _chosen(path: Path, channels: list[_Channel], topic: str | None) -> _Channel
     """Return the channel of a topic, or the only one."""
     fits = [one for one in channels if topic is None or one.name == topic]
     if topic is None and len(fits) != 1:
-        named = ", ".join(f"{one.name} ({one.type})" for one in channels)[:300] or "none"
-        raise RunError(f'{path}: holds {len(channels)} topics ({named}); name one in the mapping: topic = "…"')
+        raise several_topics(path, {one.name: one.type for one in channels})
     if not fits or not fits[0].count:
-        listed = ", ".join(sorted(one.name for one in channels if one.count))[:200] or "none"
-        asked = fits[0].name if fits else topic
-        raise RunError(
-            f"{path}: no message of topic {str(asked)[:60]}; there are {listed}; change `topic` in the mapping"
-        )
+        raise no_message(path, fits[0].name if fits else str(topic), (one.name for one in channels if one.count))
     return fits[0]
 
 

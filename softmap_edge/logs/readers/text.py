@@ -1,9 +1,10 @@
-"""Reads a delimited text log (CSV and its cousins) block by block; what cannot be read is named with its line.
+"""Read a delimited text log (CSV and its like) block by block; a cell that cannot be read is named with its line.
 
-Found by itself: where the table begins (`header.py`), its delimiter, a header that is a comment (as numpy writes it), a
-line of units, decimal commas, blank lines, empty cells at the end of rows, dates and times (`time_text.py`). Each block
-of lines goes through numpy's compiled reader, with empty cells as NaN; only where that stumbles are its lines read one
-by one, to say where. So a million rows of 16 columns need seconds and little more memory than their numbers
+The reader finds where the table begins (`header.py`), its delimiter, and a header that is a comment (as numpy writes
+it). It also finds a line of units, decimal commas, blank lines, empty cells at the end of rows, and dates and times
+(`time_text.py`). Each block of lines goes through numpy's compiled reader, with empty cells as NaN. If that fails, the
+lines are read one by one to find the fault. A million rows of 16 columns need seconds and little more memory than their
+numbers
 (tests/test_import_csv.py, `python -m benches.import_rows`).
 """
 
@@ -19,13 +20,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.errors import RunError
-from softmap_edge.logs.readers.cells import find_delimiter, is_number, split
+from softmap_edge.logs.readers.cells import find_delimiter, is_number, is_plain, split
 from softmap_edge.logs.readers.columns import Array, Cells
 from softmap_edge.logs.readers.header import LINES, Table, find_table, widths_of
 from softmap_edge.logs.readers.words import EMPTY, Words, is_text, is_word
 from softmap_edge.logs.time_text import TimeText, TimeTextError, time_text_of
-
-__all__ = ["LIMIT", "LONGEST", "TextColumns", "find_delimiter", "first_lines", "is_number", "open_text", "split"]
 
 LIMIT = 2**30  # bytes of one log: about 5 million rows of 16 columns
 LONGEST = 2**20  # characters of one line: 50 000 columns
@@ -248,16 +247,14 @@ class TextColumns:
     def _number(self, cell: str, line: int, column: int) -> float:
         if cell.lower() in EMPTY:
             return np.nan
-        try:
-            return float(cell.replace(",", ".") if self.decimal == "," else cell)
-        except ValueError:
-            if is_word(cell):
-                self.words.take(cell, column, line)
-                return np.nan
-            hint = '; set decimal = "," in the mapping' if "," in cell else ""
-            raise RunError(
-                f"{self.path}: line {line}, column {self.names[column]}: '{cell[:40]}' is not a number{hint}"
-            ) from None
+        plain = cell.replace(",", ".") if self.decimal == "," else cell
+        if is_plain(plain):
+            return float(plain)
+        if is_word(cell):
+            self.words.take(cell, column, line)
+            return np.nan
+        hint = '; set decimal = "," in the mapping' if "," in cell else ""
+        raise RunError(f"{self.path}: line {line}, column {self.names[column]}: '{cell[:40]}' is not a number{hint}")
 
 
 # --- the head ------------------------------------------------------------------------------
