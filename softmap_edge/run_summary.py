@@ -20,7 +20,7 @@ from softmap_edge.diagnosis.lost import REMEDY, without_lost
 from softmap_edge.registration.clouds import with_depth
 from softmap_edge.report.advice_text import advice_lines
 from softmap_edge.report.numbers import folded
-from softmap_edge.run import BASE_MARKERS, OURS, Run, known
+from softmap_edge.run import BASE_MARKERS, DAMAGE, OURS, Run, known
 from softmap_edge.run_contents import command_ranges, rounded
 from softmap_edge.ticks import converted
 from softmap_edge.views import laid
@@ -82,7 +82,7 @@ def summary(recorded: Run, model: Any = None) -> dict[str, Any]:
     clock = frame_clock(run)
     document["frame_clock"] = None if clock is None else clock.to_dict()
     drift = str(clock) if clock is not None and clock.differs else ""
-    document["warnings"] = [*filter(None, [depthless]), *_warnings(run), *filter(None, [drift])]
+    document["warnings"] = [*_damage(run), *filter(None, [depthless]), *_warnings(run), *filter(None, [drift])]
     return document
 
 
@@ -230,6 +230,13 @@ def _missing(run: Run, document: dict[str, Any]) -> list[str]:
         what = "points" if run.output is None else "outputs"
         gaps.append(f"sigma: the noise of the {what} comes from repeats alone, with nothing to check it by")
     return gaps
+
+
+def _damage(run: Run) -> list[str]:
+    """Return a sentence if the run was made of a damaged recording or log."""
+    text = run.extra.get(DAMAGE)
+    known = text is not None and text.dtype.kind == "U" and text.size == 1
+    return [f"made of what could be read: {text.reshape(-1)[0]}"] if known and text is not None else []
 
 
 def _warnings(run: Run) -> list[str]:

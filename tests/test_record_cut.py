@@ -89,6 +89,40 @@ def test_what_was_kept_is_read_back_and_to_its_last_whole_line(tmp_path):
         read_kept(tmp_path / "none.seen")
 
 
+def test_a_line_whose_checksum_fails_is_left_out_and_a_file_without_checksums_says_so(tmp_path):
+    _, file = kept(tmp_path)
+    first, *lines = file.read_bytes().splitlines(True)
+    file.write_bytes(b"".join([first, *lines[:2], lines[2].replace(b"0", b"1", 1), *lines[3:]]))
+    again = read_kept(file)
+    assert "1 of 9 lines fail their checksum, the first is line 4" in again.lacks and len(again.taken) >= 3
+    bare = [json.loads(line) for line in (first, *lines)]
+    bare[0]["schema"] = "softmap.seen/1"
+    file.write_text("".join(json.dumps({k: v for k, v in one.items() if k != "crc"}) + "\n" for one in bare))
+    again = read_kept(file)
+    assert len(again.taken) == 4 and "carries no checksum" in again.lacks
+
+
+def test_no_flipped_bit_changes_what_was_kept_without_a_word(tmp_path):
+    _, file = kept(tmp_path)
+    whole, sound, rng = file.read_bytes(), read_kept(file), np.random.default_rng(4)
+    noticed = 0
+    for place in rng.integers(0, 8 * len(whole), 400):
+        bad = bytearray(whole)
+        bad[place // 8] ^= 1 << (place % 8)
+        file.write_bytes(bad)
+        try:
+            again = read_kept(file)
+        except RunError:
+            noticed += 1
+            continue
+        noticed += again.lacks is not None
+        if again.lacks is None:
+            assert (again.clock, again.robot, again.vertices) == (sound.clock, sound.robot, sound.vertices)
+            for (_, one), (_, other) in zip(sound.taken, again.taken, strict=True):
+                np.testing.assert_array_equal(one.points, other.points)
+    assert noticed > 390
+
+
 @pytest.mark.parametrize("ends", [signal.SIGTERM, signal.SIGHUP])
 def test_a_signal_ends_it_as_ctrl_c_does(folder, ends):
     process = record(folder)

@@ -14,7 +14,7 @@ from softmap_edge.cli import main
 from softmap_edge.commands.robot import plain_map
 from softmap_edge.diagnosis.document import Diagnosis
 from softmap_edge.errors import RecordingBroken, RunError
-from softmap_edge.experiment.kept import LATELY, Keeper, keeping, read_kept, seen_file
+from softmap_edge.experiment.kept import LATELY, Keeper, keeping, read_kept, seen_file, with_crc
 from softmap_edge.experiment.recorded import open_run
 from softmap_edge.servo.recording import read_recording
 
@@ -138,13 +138,16 @@ def test_alone_nothing_was_seen(tracked, tmp_path, capsys):
 
 def test_another_robots_bundle_is_told(copied, capsys):
     seen = seen_file(copied)
-    seen.write_text(seen.read_text().replace(MODEL.robot, "another"))
+    first, *rest = seen.read_text().splitlines(True)
+    seen.write_text("".join([changed(first, robot="another"), "\n", *rest]))
     assert main(["compare", str(copied)]) == 0
     assert "'another'" in capsys.readouterr().err
 
 
 def changed(line, **what):
-    return json.dumps(json.loads(line) | what)
+    """Return a line of a `.seen` file with other entries, its checksum right."""
+    kept = {name: value for name, value in json.loads(line).items() if name != "crc"}
+    return with_crc(json.dumps(kept | what)).rstrip("\n")
 
 
 HEADS = [
@@ -195,7 +198,7 @@ def test_what_another_recording_saw_is_not_this_ones(copied):
         one = json.loads(line)
         one["came"] = [[stamp, arrived + 1e4] for stamp, arrived in one["came"]]
         one["taken"] = [[look, stamp, arrived + 1e4, text] for look, stamp, arrived, text in one["taken"]]
-        moved.append(json.dumps(one))
+        moved.append(changed(line, came=one["came"], taken=one["taken"]))
     seen.write_text("\n".join([first, *moved]) + "\n")
     with pytest.raises(RunError, match=r"none of its \d+ frames was seen while o.mcap was driven"):
         open_run(copied)
@@ -262,3 +265,16 @@ def test_what_cannot_be_seen_any_more_is_a_fault_and_no_traceback(tmp_path, capf
     assert not (tmp_path / "y.seen").exists()
     with pytest.raises(RunError, match="nowhere"):
         Keeper(tmp_path / "nowhere" / "x.seen", 0.0, MODEL)
+
+
+def test_every_command_says_what_was_lost_of_what_was_seen_and_its_run_keeps_that(copied, capsys):
+    seen, out = seen_file(copied), str(copied.with_name("r.npz"))
+    first, second, third, *rest = seen.read_bytes().splitlines(True)
+    seen.write_bytes(b"".join([first, second, third.replace(b"[", b"[1", 1), *rest]))
+    for words in (["compare"], ["show"], ["check"], ["replay"], ["run", "show"]):
+        assert main([*words, str(copied), *(["--run", out] if words == ["replay"] else [])]) == 1, words
+        assert "o.seen is damaged: 1 of" in capsys.readouterr().err, words
+    assert main(["compare", out]) == 0  # by the map that was driven with
+    capsys.readouterr()
+    assert main(["check", out]) == 0
+    assert "made of what could be read: " in " ".join(capsys.readouterr().out.split())

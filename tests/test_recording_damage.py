@@ -119,7 +119,7 @@ def test_a_cut_recording_is_said_by_each_command(copied, tail, capsys):
 
 
 def test_damage_of_the_end_alone_loses_nothing(copied):
-    sound = run_of(read_recording(copied))
+    sound, _ = run_of(read_recording(copied))
     for back in (4, 20, 33, 60):
         data = bytearray(copied.read_bytes())
         data[-back] ^= 1

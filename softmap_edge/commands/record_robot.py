@@ -125,8 +125,9 @@ def recover(args: argparse.Namespace) -> int:
     run = merged(file, model, pace(made, told.calibration, told.limits["servos"]), played)
     run.save(args.out)
     document = _document(args, run, made) | {"emulated": None, "whole": False, "recovered": args.recover}
+    document |= {"lacks": played.lacks}
     said = f"{run}\n{run.frames} of {made.frames} frames; written to {args.out}"
-    said += f"\n{told.incomplete}" if told.short == CUT else ""
+    said = "\n".join([said, *filter(None, [told.incomplete if told.short == CUT else None, played.lacks])])
     print(json.dumps(document, ensure_ascii=False) if args.json else said)
     return 0
 

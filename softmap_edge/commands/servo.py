@@ -262,9 +262,10 @@ def replay(args: argparse.Namespace) -> int:
     check_file("--run", args.run, ".npz")
     check_no_run("--run", args.run, args.force)
     recording = read_recording(args.recording)
-    differ = recording.replay()
+    differ, lacks = recording.replay(), recording.incomplete
     if args.run:
-        run_of(recording).save(args.run)
+        run, lacks = run_of(recording)
+        run.save(args.run)
     first, last = recording.periods[0], recording.periods[-1]
     seconds = (last["now"] - first["now"]) * 1e-9
     if args.json:
@@ -276,8 +277,8 @@ def replay(args: argparse.Namespace) -> int:
         print(f"{args.recording}: {len(recording.periods)} periods in {seconds:.1f} s, {said}")
         if args.run:
             print(f"{args.run}: written")
-    if recording.incomplete:
-        warnings.warn(RecordingWarning(recording.incomplete), stacklevel=2)
+    if lacks:
+        warnings.warn(RecordingWarning(lacks), stacklevel=2)
     if said := words.bus(recording.bus):
         to_stderr(f"softmap replay: {said}")
     return OTHERWISE if differ or recording.short else 0

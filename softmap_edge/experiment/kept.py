@@ -1,8 +1,9 @@
 """What a camera saw while a robot is driven, kept in a file as it comes: a cut loses its last second at most.
 
-A JSON document a line (softmap.seen/1): whose robot it is, how a command file's clock went, when each frame came, the
-frames that were taken. It is only added to, by a thread of its own, and on the disk every half a second. With what the
-loop recorded meanwhile it becomes a run (`recorded.py`). Pinned by tests/test_record_cut.py and tests/test_recorded.py.
+A JSON document a line (softmap.seen/2): whose robot it is, how a command file's clock went, when each frame came, the
+frames that were taken, and the CRC-32 of all that. Files of softmap.seen/1 carry no CRC. Lines are only added, by a
+thread of its own, and are on the disk every half a second. With what the loop recorded meanwhile it becomes a run
+(`recorded.py`). Pinned by tests/test_record_cut.py and tests/test_recorded.py.
 """
 
 from __future__ import annotations
@@ -13,13 +14,15 @@ import json
 import math
 import os
 import queue
+import re
 import threading
 import time
+import zlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import Any, BinaryIO, Self
 
 import numpy as np
 
@@ -28,7 +31,7 @@ from softmap_edge.errors import RecordingBroken, RunError
 from softmap_edge.model import Model
 
 SEEN = ".seen"  # ends the name of such a file, beside what the loop recorded
-SCHEMA = "softmap.seen/1"
+SCHEMA, UNCHECKED = "softmap.seen/2", "softmap.seen/1"
 SAFE = 0.5  # s after which what came is on the disk
 LONGEST = 1 << 24  # characters of a line
 NONE = np.zeros((0, 3))  # the points of a frame that only its time is kept of
@@ -36,6 +39,8 @@ LOOK = 0.2  # s between two looks at what came
 LATELY = 200  # frames, the newest, that are looked through
 LATEST = 2.0  # s that a frame may take to arrive
 NAME = 200  # characters of a robot's name
+
+_CRC = re.compile(rb', "crc": "([0-9a-f]{8})"}\n$')
 
 Pair = tuple[float, float]
 
@@ -45,8 +50,8 @@ class Kept:
     """What was seen: the `camera`'s clock, the frames that were `taken`, each with the look of a command file that it
     answers (else their number), and that file's `clock`, pairs of (host s, s of the file), empty without one.
 
-    `robot` and `vertices`, how many points a frame of its whole body has, are told by a file: None where it does not,
-    or where the robot is seen by markers.
+    `robot` and `vertices`, how many points a frame of its whole body has, are in a file: None where they are not, or
+    where the robot is seen by markers. `lacks` is a sentence on the part that cannot be read.
     """
 
     clock: list[Pair] = field(default_factory=list)
@@ -54,6 +59,7 @@ class Kept:
     camera: HostClock = field(default_factory=HostClock)
     robot: str | None = None
     vertices: int | None = None
+    lacks: str | None = None
 
 
 def vertices_of(model: Model) -> int | None:
@@ -114,7 +120,7 @@ class Keeper:
         with contextlib.suppress(OSError), self._stream as stream:
             try:
                 while (line := self._lines.get()) is not None:
-                    stream.write(json.dumps(line) + "\n")
+                    stream.write(with_crc(json.dumps(line)))
                     if time.monotonic() - saved > SAFE:
                         stream.flush()
                         os.fsync(stream.fileno())
@@ -166,26 +172,21 @@ def keeping(recording: str | Path, seen: Seen, model: Model, late: float = 0.0) 
 
 
 def read_kept(file: Path) -> Kept:
-    """Return what was kept, to the last whole line.
+    """Return what was kept: every line whose checksum is right, to the last whole one.
 
     Raises:
-        RunError: it is no such file, or damaged.
+        RunError: it is no such file, or damaged where no checksum tells which part.
     """
     try:
         if file.exists() and not file.is_file():
             raise ValueError("no file of bytes")
-        with open(file, encoding="utf-8") as lines:
-            kept = _head(json.loads(lines.readline(LONGEST)))
-            while (line := lines.readline(LONGEST)).endswith("\n"):
-                one = json.loads(line)
-                kept.camera.add([_frame(stamp, arrived, NONE) for stamp, arrived in _list(one["came"])])
-                kept.clock += [(_number(host), _number(at)) for host, at in _list(one["clock"])]
-                kept.taken += [
-                    (int(_number(look)), _frame(stamp, arrived, _points(text)))
-                    for look, stamp, arrived, text in _list(one["taken"])
-                ]
-            if len(line) >= LONGEST:
-                raise ValueError(f"a line of more than {LONGEST} characters")
+        with open(file, "rb") as lines:
+            text, checked = _checked(lines.readline(LONGEST))
+            head = json.loads(text)
+            kept = _head(head)
+            if not checked and head["schema"] != UNCHECKED:
+                raise ValueError("its first line fails its checksum")
+            _read_lines(lines, kept, checked, file)
     except OSError as fault:
         raise RunError(f"{file}: {(fault.strerror or '').lower()}; give what was kept beside a recording") from None
     except (ValueError, KeyError, TypeError, IndexError, OverflowError, RecursionError) as fault:
@@ -197,10 +198,56 @@ def read_kept(file: Path) -> Kept:
     return kept
 
 
+def _read_lines(lines: BinaryIO, kept: Kept, checked: bool, file: Path) -> None:
+    """Add to `kept` what the lines after the first hold, and what cannot be read of them."""
+    wrong, count, line = [], 1, b"\n"
+    while (line := lines.readline(LONGEST)).endswith(b"\n"):
+        count += 1
+        text, sound = _checked(line)
+        if checked and not sound:
+            wrong.append(count)
+            continue
+        _add(kept, json.loads(text))
+    if len(line) >= LONGEST:
+        raise ValueError(f"a line of more than {LONGEST} characters")
+    parts = [f"{file} was cut short: its last line is torn, and what was seen after it is missing"] if line else []
+    if wrong:
+        parts.append(
+            f"{file} is damaged: {len(wrong)} of {count} lines fail their checksum, the first is line {wrong[0]}; "
+            "the frames in them are left out"
+        )
+    if not checked:
+        parts.append(f"{file} carries no checksum: numbers that were damaged would not be noticed")
+    kept.lacks = "; ".join(parts) or None
+
+
+def _add(kept: Kept, one: Any) -> None:
+    kept.camera.add([_frame(stamp, arrived, NONE) for stamp, arrived in _list(one["came"])])
+    kept.clock += [(_number(host), _number(at)) for host, at in _list(one["clock"])]
+    kept.taken += [
+        (int(_number(look)), _frame(stamp, arrived, _points(text)))
+        for look, stamp, arrived, text in _list(one["taken"])
+    ]
+
+
+def with_crc(document: str) -> str:
+    """Return a line: a JSON document with its own CRC-32 as the last entry."""
+    return f'{document[:-1]}, "crc": "{zlib.crc32(document.encode()):08x}"}}\n'
+
+
+def _checked(line: bytes) -> tuple[bytes, bool]:
+    """Return the document of a line without its checksum, and whether that is there and right."""
+    found = _CRC.search(line)
+    if found is None:
+        return line, False
+    document = line[: found.start()] + b"}"
+    return document, zlib.crc32(document) == int(found[1], 16)
+
+
 def _head(head: Any) -> Kept:
     """Return what the first line says, of which nothing is kept yet."""
     late, robot, vertices = _number(head["late"]), head.get("robot"), head.get("vertices")
-    if head["schema"] != SCHEMA:
+    if head["schema"] not in (SCHEMA, UNCHECKED):
         raise ValueError(f"schema {head['schema']!s:.20}")
     if not 0.0 <= late <= LATEST:
         raise ValueError(f"frames {late:g} s late, 0 to {LATEST:g} s is allowed")

@@ -6,7 +6,6 @@ run gets both. Pinned by tests/test_recorded.py and tests/test_record_robot.py.
 
 from __future__ import annotations
 
-import os
 import shlex
 import warnings
 from collections.abc import Sequence
@@ -20,7 +19,7 @@ from softmap_edge.camera.frames import Frame, HostClock
 from softmap_edge.errors import RecordingWarning, RunError
 from softmap_edge.experiment.kept import read_kept, seen_file
 from softmap_edge.model import Model
-from softmap_edge.run import Run
+from softmap_edge.run import DAMAGE, Run
 from softmap_edge.servo.recording import Recording, read_recording
 from softmap_edge.ticks import TICKS, converted
 
@@ -62,33 +61,26 @@ def open_incomplete(path: str | Path, model: Model | None = None) -> tuple[Run, 
             f"{told.incomplete}; copy it again, or take it as it is by `softmap replay {shlex.quote(str(file))} --run "
             "RUN.npz`"
         )
-    return run_of(told, model), told.incomplete or _torn(seen_file(file))
+    return run_of(told, model)
 
 
-def _torn(seen: Path) -> str | None:
-    """Return a sentence if the last line of a `.seen` file is incomplete; None otherwise."""
-    if not seen.is_file() or not seen.stat().st_size:
-        return None
-    with open(seen, "rb") as stream:
-        stream.seek(-1, os.SEEK_END)
-        whole = stream.read(1) == b"\n"
-    return None if whole else f"{seen} was cut short: its last line is torn, and what was seen after it is missing"
-
-
-def run_of(told: Recording, model: Model | None = None) -> Run:
-    """Return a recording as a run, complete or not, with the frames of its `.seen` file if there is one.
+def run_of(told: Recording, model: Model | None = None) -> tuple[Run, str | None]:
+    """Return a recording as a run with the frames of its `.seen` file if there is one, and a sentence on missing data.
 
     Raises:
         RunError: as `open_run`, but for numbers that may be wrong.
     """
     beside = seen_file(told.file)
-    run = _seen(told, beside) if beside.exists() else told.run()
+    run, lacks = _seen(told, beside) if beside.exists() else (told.run(), None)
+    lacks = "; ".join(filter(None, [told.incomplete, lacks])) or None
+    if lacks is not None:
+        run = replace(run, extra=run.extra | {DAMAGE: np.array(lacks)})
     kept = model is None or model.calibration is not None or model.command_unit == TICKS
-    return run if kept else converted(model, run)
+    return run if kept else converted(model, run), lacks
 
 
-def _seen(told: Recording, beside: Path) -> Run:
-    """Return a recording with what was kept of what was seen."""
+def _seen(told: Recording, beside: Path) -> tuple[Run, str | None]:
+    """Return a recording with what was kept of what was seen, and a sentence on the part of that which is missing."""
     kept = read_kept(beside)
     if kept.clock:
         raise RunError(
@@ -101,7 +93,7 @@ def _seen(told: Recording, beside: Path) -> Run:
             f"{beside}: none of its {len(inside)} frames was seen while {told.file.name} was driven; is it that of "
             "another recording? Move it away, and the run is one of which nothing was seen"
         )
-    return replace(run, robot=kept.robot)
+    return replace(run, robot=kept.robot), kept.lacks
 
 
 def with_seen(

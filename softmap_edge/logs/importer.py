@@ -32,7 +32,7 @@ from softmap_edge.logs.sources import assign, named, open_parts, parts_of
 from softmap_edge.logs.table import LogTable, read_log
 from softmap_edge.mcap_records import Damage
 from softmap_edge.plane import AXES, PLANE
-from softmap_edge.run import NOT_SEEN, SPOOL_RADIUS, Run
+from softmap_edge.run import DAMAGE, NOT_SEEN, SPOOL_RADIUS, Run
 from softmap_edge.time_digits import differing
 
 __all__ = ["Imported", "Mapping", "import_logs", "read_mapping", "unhold"]
@@ -101,6 +101,7 @@ def import_logs(paths: Sequence[str | os.PathLike[str]], mapping: Mapping) -> Im
     made_from = [f"{path.name} sha256 {_sha256(path)}" for path in files]
     extra = {name: fields.pop(name) for name in ("base_markers", "marker_labels", PLANE) if name in fields}
     extra |= _looked_for(mapping, fields) | _spool(mapping)
+    extra |= {DAMAGE: np.array("; ".join(damage))} if damage else {}
     try:
         run = Run(t=t, **fields, extra={"made_from": np.array(made_from)} | extra)
     except RunError as fault:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from softmap_edge import _core
 from softmap_edge.errors import CalibrationError, RunError, SoftmapError
-from softmap_edge.run import CALIBRATION, DAMAGE, Run
+from softmap_edge.run import CALIBRATION, Run
 from softmap_edge.servo import words
 from softmap_edge.servo.recording_damage import find_shortfall
 from softmap_edge.ticks import Calibration
@@ -127,10 +127,9 @@ class Recording:
         )
 
     def _about(self) -> dict[str, NDArray[Any]]:
-        """Return the fields of a run with the map that was driven with, and with what the recording lacks."""
+        """Return the field of a run with the map that was driven with."""
         known = self.setup.get("calibration")
-        about = {} if known is None else {CALIBRATION: np.array(json.dumps(known))}
-        return about if self.incomplete is None else about | {DAMAGE: np.array(str(self.incomplete))}
+        return {} if known is None else {CALIBRATION: np.array(json.dumps(known))}
 
     @property
     def calibration(self) -> Calibration:
