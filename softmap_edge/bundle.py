@@ -25,6 +25,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 import os
 import shutil
 import tempfile
@@ -39,7 +40,7 @@ from softmap_edge import __version__, _core, own_effect
 from softmap_edge.coverage import Coverage
 from softmap_edge.errors import BundleError, CalibrationError, SoftmapError, brief
 from softmap_edge.learned_in import read_learned_in
-from softmap_edge.manifest import LARGEST, finite_number, load_manifest, read_json
+from softmap_edge.manifest import LARGEST, check_within, finite_number, load_manifest, read_json
 from softmap_edge.model import Arrays, Model
 from softmap_edge.network import MOST_BYTES, read_network
 from softmap_edge.npz import read_npz, write_npz
@@ -180,6 +181,7 @@ def load_bundle(path: str | Path, trust: Trust | None = None, trust_onnx: bool |
     for name in (*_FILES, *_named(manifest), *(f"{name}.py" for name in manifest.get("own_effects", {}))):
         if not (folder / name).is_file():
             raise BundleError(f"{folder.name}: {name} is missing; copy the complete bundle folder again")
+        check_within(folder / name)
         _check_size(folder / name)
         if name != SAFETY and _sha256(folder / name) != (manifest["sha256"] | _own_hashes(manifest)).get(name):
             raise BundleError(
@@ -370,7 +372,19 @@ def _made_from(manifest: dict[str, Any]) -> dict[str, Any]:
     runs = made.get("runs", [])
     if not isinstance(runs, list) or not all(isinstance(run, str) and len(run) == 64 for run in runs):
         raise SoftmapError("made_from: `runs` is not a list of sha256")
+    parts = made.get("pieces", [])
+    if not isinstance(parts, list) or not all(map(_is_piece, parts)):
+        raise SoftmapError("made_from: `pieces` is not a list of sha256, first and last time")
     return dict(made)
+
+
+def _is_piece(part: Any) -> bool:
+    """Whether it is the hash of a recording with two times, s."""
+    if not isinstance(part, list) or len(part) != 3:
+        return False
+    return (
+        isinstance(part[0], str) and len(part[0]) == 64 and all(type(t) is float and math.isfinite(t) for t in part[1:])
+    )
 
 
 def _check_size(file: Path) -> None:

@@ -21,6 +21,15 @@ KINDS = ("table", "scattered", "network", "rod")
 LARGEST = 1e9  # mm, g, N, s: beyond any robot, and far from where float64 overflows in a product
 
 
+def check_within(file: Path) -> None:
+    """Raise BundleError where a file of a bundle is a link to a file elsewhere."""
+    if file.is_symlink() and file.resolve().parent != file.parent.resolve():
+        raise BundleError(
+            f"{file.parent.name}: {file.name} is a link to a file outside the bundle; copy the bundle with its files "
+            "(cp -rL)"
+        )
+
+
 def load_manifest(path: str | Path) -> dict[str, Any]:
     """Read and check `manifest.json` of a bundle folder."""
     file = Path(path) / "manifest.json"
@@ -28,6 +37,7 @@ def load_manifest(path: str | Path) -> dict[str, Any]:
         raise BundleError(
             f"{path}: not a bundle folder (no manifest.json); `softmap build` and `softmap learn` make one"
         )
+    check_within(file)
     manifest = read_json(file)
     schema = manifest.get("schema")
     if not isinstance(schema, int) or isinstance(schema, bool) or schema < 1:

@@ -27,6 +27,7 @@ from softmap_edge.output import Output
 from softmap_edge.outside import check_commands
 from softmap_edge.plane import flat
 from softmap_edge.predictors import Contact, Shape, stations, tip, whole
+from softmap_edge.run_pieces import spans
 from softmap_edge.shape_arrays import family_from
 from softmap_edge.ticks import Calibration, converted
 
@@ -145,8 +146,14 @@ class Model:
         return read_learned_in(self.made_from.get("learned_in"))
 
     def taught_by(self, run: Run) -> bool:
-        """Return whether the model was learned from this very run."""
-        return run.hash() in self.made_from.get("runs", [])
+        """Return whether the model was learned from this run, or from a part of the recording that it holds as well."""
+        known = [(str(one), float(start), float(end)) for one, start, end in self.made_from.get("pieces", [])]
+        parts = spans(run)
+        return run.hash() in self.made_from.get("runs", []) or any(
+            one == part.origin and max(start, first) < min(end, last)
+            for one, start, end in known
+            for part, first, last in parts
+        )
 
     @cached_property
     def coverage(self) -> Coverage | None:

@@ -9,14 +9,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from logs import published
+from test_learn_ticks import arm
 from test_learned_memory import arc, recorded, wander
 
-from softmap_edge import Run, diagnose, load_bundle, save_bundle
+from softmap_edge import Run, diagnose, learn_model, load_bundle, save_bundle
 from softmap_edge.diagnosis.document import Diagnosis
 from softmap_edge.diagnosis.taught import Taught, with_unknown
 from softmap_edge.errors import ReportError
 from softmap_edge.report.families import learned_section
 from softmap_edge.rod.learn import learn, learned_model
+from softmap_edge.run_cut import cut
+from softmap_edge.run_join import join_runs
 
 GAP = 1.4
 
@@ -180,3 +183,14 @@ def test_a_robot_without_such_a_memory_gets_no_such_record():
     model = learned_model(runs := recorded(), learn(runs))
     found = diagnose(model, recorded(seed=5, seconds=60.0, drive=lambda t: wander(t + 400.0)))
     assert model.learned_in == () and found.verdict in ("nothing", "cannot_tell")
+
+
+def test_a_piece_of_the_recording_that_taught_the_model_is_recognised(tmp_path):
+    run = arm(seconds=60.0)
+    early, late = cut(run, end=40.0), cut(run, start=40.0)
+    save_bundle(learn_model(early, static=True), tmp_path / "b")
+    model = load_bundle(tmp_path / "b")
+    assert model.taught_by(early) and model.taught_by(run) and model.taught_by(cut(run, start=30.0, end=50.0))
+    assert model.taught_by(join_runs([late, early])) and not model.taught_by(late)
+    assert not model.taught_by(arm(seconds=60.0, seed=8))
+    assert learn_model(join_runs([early, late]), static=True).taught_by(run)

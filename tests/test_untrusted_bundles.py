@@ -346,3 +346,28 @@ def test_what_reaches_beyond_is_named_by_the_core():
     with pytest.raises(_core.CoreError, match="no ONNX file"):
         _core.check_onnx(b"\xff" * 40)
     assert _core.check_onnx(foreign()) is None
+
+
+@pytest.mark.parametrize("name", ["manifest.json", "template.npz", "prior.npz"])
+def test_a_file_of_a_bundle_is_no_link_to_a_file_elsewhere(tmp_path, name):
+    folder = tmp_path / "b"
+    save_bundle(BASE, folder)
+    shutil.move(folder / name, tmp_path / "elsewhere")
+    (folder / name).symlink_to(tmp_path / "elsewhere")
+    with pytest.raises(BundleError, match=f"{name} is a link to a file outside the bundle"):
+        load_bundle(folder)
+    (folder / name).unlink()
+    shutil.move(tmp_path / "elsewhere", folder / f"{name}.real")
+    (folder / name).symlink_to(f"{name}.real")
+    (tmp_path / "link").symlink_to(folder)
+    assert load_bundle(tmp_path / "link").robot == BASE.robot
+
+
+@pytest.mark.parametrize(
+    "piece", ["x", ["a" * 64], ["a", 0.0, 1.0], ["a" * 64, "0", 1.0], ["a" * 64, 0.0, float("nan")]]
+)
+def test_pieces_that_are_none_are_refused(tmp_path, piece):
+    folder = tmp_path / "b"
+    save_bundle(BASE, folder)
+    with pytest.raises(BundleError, match="pieces"):
+        load_bundle(signed(folder, made_from={"pieces": [piece]}))

@@ -34,6 +34,7 @@ from softmap_edge.rod.polynomial import RodParameters, fit_polynomial
 from softmap_edge.rod.reference_run import Fitted, Number, Rod, Seen, observe
 from softmap_edge.rod.regression import rms
 from softmap_edge.run import HOME_TICKS, Run
+from softmap_edge.run_pieces import spans
 from softmap_edge.safety import derived
 from softmap_edge.ticks import from_home
 
@@ -149,6 +150,7 @@ def learn(
         fitted = fit_elastic(seen, robot, folds(seen.t, blocks, gap_s, seen.labels), seed, static)
     made_from: dict[str, Any] = {
         "softmap-edge": __version__, "run": together[0].hash(), "runs": [run.hash() for run in together],
+        "pieces": [[part.origin, first, last] for run in together for part, first, last in spans(run)],
         "frames": len(seen.t), "rate_hz": rate_hz, "blocks": len(fitted.parts), "gap_s": gap_s,
         "hold_out_s": [list(map(float, pair)) for pair in hold_out], "static": static, **kept_places(together),
     }  # fmt: skip
