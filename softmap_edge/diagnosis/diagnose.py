@@ -18,12 +18,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from softmap_edge import _core
 from softmap_edge.diagnosis.acceptance import motion_mm
 from softmap_edge.diagnosis.advice import asked
 from softmap_edge.diagnosis.base_motion import excluded
 from softmap_edge.diagnosis.certificate import certified
 from softmap_edge.diagnosis.conclusion import Context, conclude
-from softmap_edge.diagnosis.decision import ORDINARY, VISIBLE_MM
+from softmap_edge.diagnosis.decision import ORDINARY, UNKNOWN_TIMES, VISIBLE_MM
 from softmap_edge.diagnosis.declared import strange, wrong_load, wrong_sign
 from softmap_edge.diagnosis.document import Diagnosis, with_error
 from softmap_edge.diagnosis.evidence import equivalents, experiment, shown, unseen
@@ -53,6 +54,8 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 
+NAMING = ("identified", "ambiguous", "partly_explained")  # verdicts that name what is missing
+NAMED = ("alternatives", "effects", "faults", "families")  # fields of a diagnosis that name something
 UNSAID = 0.05  # share of the frames that may lie outside what a model was made from
 OWN_FALL = 0.7  # fall of the held-out error by a refit from which the model's own numbers are in doubt
 ALIKE = 0.95  # cosine between two whitened signatures from which their form does not distinguish them
@@ -127,9 +130,9 @@ def diagnose(
             error, again = outcome.fits.held_out_mm(fit), partial(_again, model, candidates=candidates, library=library)
             gone = wrong_sign(record, error, again) or wrong_load(record, error, again)
     if gone is not None:
-        fit = outcome.plain.null
-        values |= {"verdict": "measurement_fault", "sentence": gone, "alternatives": (), "effects": (), "faults": ()}
-        values |= {"families": ()}
+        fit, values = outcome.plain.null, _named_nothing(values, "measurement_fault", gone)
+    elif values["verdict"] in NAMING and (why := _extrapolated(record, outcome)) is not None:
+        fit, values = outcome.plain.null, _named_nothing(values, "cannot_tell", why)
     values |= with_unknown(model, values, teacher)
     values["sentence"] += _outside(record) + ("" if record.replay is None else f" {record.replay}.")
     if model.output is not None:  # how reports turn the model's mm back into the output's unit
@@ -292,6 +295,35 @@ def _validation(model: Model, held_out: Run, library: Any, reference: Run | Sequ
         raise SoftmapError(
             f"the held-out run needs a reference of its own commands: {fault}; or leave --held-out out"
         ) from None
+
+
+def _named_nothing(values: Mapping[str, Any], verdict: str, why: str) -> dict[str, Any]:
+    """Return the fields of a diagnosis that names no effect, for a reason that the search does not know."""
+    error = replace(values["error"], ladder=(), with_static_residual=None)
+    return {**values, "verdict": verdict, "sentence": why, "error": error} | dict.fromkeys(NAMED, ())
+
+
+def _extrapolated(record: Record, outcome: Outcome) -> str | None:
+    """Return why an error says nothing where most frames are unlike what a map was learned from; None if it does.
+
+    It does where the other frames show it too: by far more than the model's own error.
+    """
+    coverage = getattr(record.model, "coverage", None)
+    if coverage is None or record.replay is not None or not isinstance(record.model.prior, _core.Rod):
+        return None
+    outside = np.asarray(coverage.outside(record.command), np.bool_)
+    count, error, own = int(outside.sum()), record.seen - outcome.plain.null.predicted, record.form_mm
+    if 2 * count < len(record):
+        return None
+    near = None if count == len(record) else record.rms_mm(error, ~outside)
+    if near is not None and near > UNKNOWN_TIMES * own:
+        return None
+    others = "" if near is None else f"; in the others it is {near:.2f} mm off, with an own error of {own:.2f} mm"
+    return (
+        f"{count} of {len(record)} frames are unlike what '{record.model.robot}' was learned from, and its errors "
+        f"there are unknown{others}. So an error of {record.rms_mm(error):.2f} mm names no effect: learn the model "
+        "from a run that covers these commands."
+    )
 
 
 def _outside(record: Record) -> str:
