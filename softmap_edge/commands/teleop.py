@@ -131,7 +131,7 @@ def _drive(args: argparse.Namespace) -> int:
         "refused": eyes.refused if isinstance(eyes, FarEyes) else {},
         **account.to_dict(),
         "command_age_us": robot.ended.get("command_age_us"),
-        "record": args.record,
+        "record": args.record if robot.unrecorded is None else None,
     }
     _print(args, told, _text(told))
     robot.check_recorded()
