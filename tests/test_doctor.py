@@ -89,7 +89,7 @@ def test_torque_that_is_on_is_told_and_left_on(tmp_path):
         ours.close()
         rig.write(tmp_path / "rig.toml")
         line = named(doctor.examine(rig=tmp_path / "rig.toml").lines, "servo 1")
-        assert line == doctor.Line("servo 1", FAULT, ON, "`softmap servo off` releases it")
+        assert line == doctor.Line("servo 1", FAULT, ON, f"`softmap servo off --rig {tmp_path}/rig.toml` releases it")
         assert torque(bus)
 
 
@@ -108,7 +108,7 @@ def test_a_busy_port_another_model_and_damaged_files(tmp_path):
     file.write_text("[")
     assert named(doctor.examine(rig=file).lines, "rig").state == FAULT
     line = named(doctor.examine(rig=tmp_path / "none.toml").lines, "rig")
-    assert line.do == "make it with `softmap servo setup`"
+    assert line.do == f"make it with `softmap servo setup --rig {tmp_path}/none.toml`"
     assert named(doctor.examine(bundle=tmp_path).lines, "bundle").state == FAULT
 
 

@@ -167,7 +167,7 @@ def test_an_id_that_changed_is_named_with_the_command_that_mends_it(tmp_path):
 def test_what_is_gone_is_gone():
     with bench() as (bus, rig, _):
         bus.damage(0, mute=True)
-        said = "no answer at .*; check power and wiring, `softmap servo scan` lists who answers"
+        said = "no answer at .*; check power and wiring, `softmap servo scan --port .*` lists who answers"
         assert re.fullmatch(said, why_silent(rig.port, rig.baud, 1, [1, 2]))
         bus.damage(0, mute=False)
         assert why_silent(rig.port, rig.baud, 1, [1, 2]).startswith("it answered late")
