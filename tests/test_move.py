@@ -154,8 +154,10 @@ def test_to_a_command_and_back(capsys):
     document = json.loads(capsys.readouterr().out)
     assert document["done_mm"] == pytest.approx([2.0, -1.0])
     assert document["at_mm"] == pytest.approx([2.0, -1.0], abs=5 / TICKS_PER_MM)
-    assert main(["move", "40,1", "--sim", "--hold", "--seconds", "0"]) == 0
-    told = capsys.readouterr().out
+    assert main(["move", "40,1", "--sim", "--hold", "--seconds", "0"]) == 1
+    told, error = capsys.readouterr()
+    assert "40.00, 1.00 mm is outside the window, the nearest is 16.00, 1.00 mm" in error
+    assert "find what holds" not in error, "it came where it was sent"
     assert "sent to 16.00, 1.00 mm (nearest to 40.00, 1.00 within its window)" in told
     came = re.search(r"came to (\S+), (\S+) mm", told)
     assert [float(one) for one in came.groups()] == pytest.approx([16.0, 1.0], abs=0.15), (
