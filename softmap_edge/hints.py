@@ -42,20 +42,25 @@ def _ends(text: str) -> int | None:
 
 
 def filled(text: str, rig: str | None, bundle: str | None = None) -> str:
-    """Return a message whose commands name the files that the user gave.
+    """Return a message whose commands name the files that the user gave; `--bundle DIR` stands for one not given.
 
     Args:
         text: the message; its commands stand in backquotes.
         rig: the file of the rig, None if none was given.
         bundle: the folder of the bundle, None if none was given.
     """
-    given = {name: path for name, path in (("rig", rig), ("bundle", bundle)) if path is not None}
-    return COMMAND.sub(lambda found: "`softmap " + _complete(found[1], given) + "`", text) if given else text
+    if rig is None and bundle is None:
+        return text
+    given = {"bundle": "DIR" if bundle is None else shlex.quote(bundle)}
+    given |= {} if rig is None else {"rig": shlex.quote(rig)}
+    return COMMAND.sub(lambda found: "`softmap " + _complete(found[1], given) + "`", text)
 
 
 def _complete(command: str, given: Mapping[str, str]) -> str:
-    for name, path in given.items():
-        option, value = f"--{name}", shlex.quote(path)
+    for name in ("rig", "bundle"):
+        option, value = f"--{name}", given.get(name)
+        if value is None:
+            continue
         if option in command.split():
             command = command.replace(f"{option} FILE", f"{option} {value}")
         elif command.startswith(tuple(COMPLETES[name])) and not (name == "rig" and command.startswith("move --sim")):

@@ -34,6 +34,7 @@ def test_a_message_is_parted_outside_brackets(said, finding, remedy):
         ("`softmap servo home --rig FILE`", "`softmap servo home --rig 'my rig.toml'`"),
         ("`softmap servo setup --port P --id 1`", "`softmap servo setup --port P --id 1 --rig 'my rig.toml'`"),
         ("`softmap servo limits` and more", "`softmap servo limits --rig 'my rig.toml' --bundle B` and more"),
+        ("`softmap servo pull --bundle x`", "`softmap servo pull --bundle x --rig 'my rig.toml'`"),
         ("`softmap servo pull --rig other`", "`softmap servo pull --rig other --bundle B`"),
         ("`softmap servo heartbeat --new-key FILE`", "`softmap servo heartbeat --new-key FILE`"),
         ("`softmap servo scan --port P`", "`softmap servo scan --port P`"),
@@ -43,6 +44,12 @@ def test_a_message_is_parted_outside_brackets(said, finding, remedy):
 def test_commands_name_the_files_that_were_given(said, full):
     assert filled(said, "my rig.toml", "B") == full
     assert filled(said, None) == said
+
+
+def test_a_bundle_that_was_not_given_is_left_to_the_user():
+    """Without one, limits and pull fail: the built-in finger holds no calibration."""
+    assert filled("`softmap servo limits`", "r.toml") == "`softmap servo limits --rig r.toml --bundle DIR`"
+    assert filled("`softmap servo off`", "r.toml") == "`softmap servo off --rig r.toml`"
 
 
 def test_no_other_place_splits_a_message():

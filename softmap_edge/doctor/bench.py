@@ -12,6 +12,7 @@ import shlex
 import stat
 import textwrap
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 from softmap_edge.doctor.line import FAULT, OK, WARNING, Line, faulty
@@ -113,8 +114,11 @@ def _stops(bench: Rig) -> Iterator[Line]:
             read_key(stops.udp.key_file)
         except (SoftmapError, OSError) as fault:
             key = shlex.quote(str(stops.udp.key_file))
-            do = f"`softmap servo heartbeat --new-key {key}` makes one, for both computers"
-            wrong.append(faulty("emergency stop", fault, do))
+            line, do = (
+                faulty("emergency stop", fault, ""),
+                f"`softmap servo heartbeat --new-key {key}` makes one for both",
+            )
+            wrong.append(replace(line, do=", or ".join(filter(None, [line.do, do]))))
     if stops.gpio is not None:
         try:
             if not stat.S_ISCHR(os.stat(stops.gpio.chip).st_mode):
