@@ -17,6 +17,7 @@ from softmap_edge.commands.incomplete import telling
 from softmap_edge.commands.parser import Parser
 from softmap_edge.commands.pipe import outliving
 from softmap_edge.errors import no_name
+from softmap_edge.hints import with_files
 from softmap_edge.printable import PrintableStream, one_line
 
 DONE, FAULT, WRONG_USE = 0, 1, 2
@@ -104,7 +105,7 @@ def _run(verb: Verb, argv: list[str]) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return DONE
     except SoftmapError as error:
-        print(one_line(f"softmap {verb.name}: {error}"), file=sys.stderr)
+        print(one_line(f"softmap {verb.name}: {with_files(str(error), args)}"), file=sys.stderr)
         return WRONG_USE
     except MemoryError:
         print(f"softmap {verb.name}: more memory is needed than is free; take something smaller", file=sys.stderr)

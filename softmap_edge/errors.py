@@ -79,7 +79,25 @@ class SessionWarning(UserWarning):
 
 
 class NoAnswer(ServoError):
-    """A servo that was asked does not answer: it may not be there, or one packet was lost."""
+    """A servo that was asked does not answer: it may not be there, or one packet was lost.
+
+    `why` is the diagnosis where one was made: it takes seconds, and is made once.
+    """
+
+    why: str = ""
+
+
+class GuardStopped(ServoError):
+    """The guard ended a drive; `cause` is its name for why."""
+
+    cause: str = ""
+
+    @classmethod
+    def by(cls, said: str, cause: object) -> "GuardStopped":
+        """Return the error with its cause."""
+        fault = cls(said)
+        fault.cause = str(cause)
+        return fault
 
 
 class PortLost(ServoError):

@@ -47,7 +47,7 @@ def test_who_stops_calling_is_held_then_slackened():
         until(lambda: robot.state == "engaged", 0.5)
         until(lambda: robot.state == "safe_stop", 1.5)
         until(lambda: robot.state == "ready" and not torque(bus), 3.0)
-        with pytest.raises(ServoError, match="in state ready .*engage it first"):
+        with pytest.raises(ServoError, match=r"in state ready .*call engage\(\) first"):
             robot.target([0.0, 0.0])
 
 
@@ -67,12 +67,12 @@ def test_who_sent_nothing_for_too_long_is_told_so_and_who_let_go_that_he_did():
     with bench() as (_, rig, limits), Controller(rig, calibration(), limits) as robot:
         robot.engage()
         until(lambda: robot.state == "ready", 10.0)
-        with pytest.raises(ServoError, match=r"in state ready \(this program sent no target for [2-9]\.\d s\); engage"):
+        with pytest.raises(ServoError, match=r"in state ready \(this program sent no target for [2-9]\.\d s\); call e"):
             robot.target([0.0, 0.0])
         robot.engage()
         robot.release()
         until(lambda: robot.state == "ready", 10.0)
-        with pytest.raises(ServoError, match=r"in state ready \(the deadman was released\); engage it first"):
+        with pytest.raises(ServoError, match=r"in state ready \(the deadman was released\); call engage\(\) first"):
             robot.target([0.0, 0.0])
 
 
@@ -258,7 +258,7 @@ def test_a_loop_that_dies_or_freezes_is_released_from_here(program, how):
     os.kill(loop, how)
     until(lambda: not torque(bus), 2.0)
     user.wait(10)
-    assert b"in state fault (the control loop died or froze); begin again" in user.stderr.read()
+    assert b"in state fault (the control loop died or froze); start another Controller" in user.stderr.read()
 
 
 def test_with_nobody_left_the_watchdogs_stop_and_hold_and_the_next_start_says_so(program):
@@ -361,7 +361,7 @@ def test_a_rig_survives_its_file(tmp_path):
         (tmp_path / "bad.toml").write_text(text)
         with pytest.raises(ServoError, match=said):
             read_rig(tmp_path / "bad.toml")
-    with pytest.raises(ServoError, match="make it with `softmap servo setup`"):
+    with pytest.raises(ServoError, match="make it with `softmap servo setup --rig"):
         read_rig(tmp_path / "none.toml")
     with pytest.raises(ServoError, match="stands twice"):
         Rig("x", 57_600, (RigServo(1, "XL330-M288"), RigServo(1, "XL330-M288")))

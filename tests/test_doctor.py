@@ -14,7 +14,9 @@ from softmap_edge.cli import main
 from softmap_edge.commands.robot import tell_edited
 from softmap_edge.doctor import FAULT, OK, WARNING, host
 from softmap_edge.servo import emergency
+from softmap_edge.servo.bus import opened
 from softmap_edge.servo.combined import combined
+from softmap_edge.servo.proof import set_mark
 from softmap_edge.servo.rig import Rig, RigServo
 from softmap_edge.signed_udp import new_key
 
@@ -89,7 +91,7 @@ def test_torque_that_is_on_is_told_and_left_on(tmp_path):
         ours.close()
         rig.write(tmp_path / "rig.toml")
         line = named(doctor.examine(rig=tmp_path / "rig.toml").lines, "servo 1")
-        assert line == doctor.Line("servo 1", FAULT, ON, "`softmap servo off` releases it")
+        assert line == doctor.Line("servo 1", FAULT, ON, f"`softmap servo off --rig {tmp_path}/rig.toml` releases it")
         assert torque(bus)
 
 
@@ -108,7 +110,7 @@ def test_a_busy_port_another_model_and_damaged_files(tmp_path):
     file.write_text("[")
     assert named(doctor.examine(rig=file).lines, "rig").state == FAULT
     line = named(doctor.examine(rig=tmp_path / "none.toml").lines, "rig")
-    assert line.do == "make it with `softmap servo setup`"
+    assert line.do == f"make it with `softmap servo setup --rig {tmp_path}/none.toml`"
     assert named(doctor.examine(bundle=tmp_path).lines, "bundle").state == FAULT
 
 
@@ -282,3 +284,36 @@ def test_as_text(capsys, any_computer):
     assert main(["doctor"]) == 0
     said = capsys.readouterr().out
     assert "ok       python: 3." in said and said.endswith("4 ok, 0 warnings, 0 faults\n")
+
+
+def test_the_port_of_the_rig_is_among_the_serial_ports(tmp_path):
+    """A port that no pattern lists (a pseudo-terminal, a udev name) is there all the same."""
+    with bench() as (bus, rig, _):
+        file = tmp_path / "rig.toml"
+        rig.write(file)
+        assert named(host.ports(tmp_path), "serial port").state == WARNING
+        assert [line.state for line in host.ports(tmp_path, file)] == [OK]
+        assert named(host.ports(tmp_path, file), bus.path).state == OK
+        (tmp_path / "ttyUSB0").symlink_to(bus.path)
+        assert len(list(host.ports(tmp_path, file))) == 1, "one device under two names"
+        Rig(str(tmp_path / "gone"), rig.baud, rig.servos).write(file)
+        line = named(host.ports(tmp_path, file), str(tmp_path / "gone"))
+        assert line.state == FAULT and f"correct port in {file}" in line.do
+        file.write_text("[")
+        assert named(host.ports(tmp_path / "none", file), "serial port").state == WARNING
+
+
+def test_a_home_is_said_once_with_a_remedy_that_is_complete(tmp_path):
+    with bench() as (bus, rig, _):
+        rig.write(tmp_path / "rig.toml")
+        bus.reset(1)
+        line = named(doctor.examine(rig=tmp_path / "rig.toml").lines, "home of servo 2")
+        assert line.found.startswith("home is not proved") and line.found.count("(") == line.found.count(")") == 1
+        assert line.do == (
+            f"let the finger hang straight and prove it with `softmap servo home --rig {tmp_path}/rig.toml`"
+        )
+        Rig(rig.port, rig.baud, tuple(replace(one, home=HOME - 400) for one in rig.servos)).write(tmp_path / "rig.toml")
+        with opened(rig.port, rig.baud) as port:
+            set_mark(port, 1, HOME - 400)
+        line = named(doctor.examine(rig=tmp_path / "rig.toml").lines, "home of servo 1")
+        assert line.state == OK and "it stands +400 ticks from there" in line.found

@@ -1,6 +1,8 @@
 """Home is proved after each power-up, and whoever drives is refused until it is."""
 
 import json
+import re
+import shlex
 
 import pytest
 from rigs import BAUD, HOME, MODEL, NUMBER, bench, calibration, set_up, torque
@@ -197,3 +199,23 @@ def test_a_mark_is_made_of_addresses_that_every_model_may_map():
     assert len(seen) == 8000, "another servo or another home is another mark"
     words = {one[k] | one[k + 1] << 8 for one in seen for k in range(0, 16, 2)}
     assert words == set(range(120, 136))
+
+
+def test_all_servos_away_from_home_are_listed_with_jogs_that_lead_back(tmp_path, capsys):
+    """After a fault the horns stand anywhere: one message, and its commands suffice."""
+    file = str(tmp_path / "rig.toml")
+    with bench(load=[]) as (bus, rig, _):
+        Rig(rig.port, rig.baud, tuple(RigServo(id, MODEL, HOME - away) for id, away in ((1, 559), (2, -210)))).write(
+            file
+        )
+        assert home(file) == 2
+        said = capsys.readouterr().err
+        assert "servo 1 stands at 2000, +559 ticks" in said and "servo 2 stands at 2000, -210 ticks" in said
+        assert "--new is for another finger" in said and "calibrations made before no longer fit" in said
+        jogs = re.findall(r"`softmap (move [^`]+)`(?:, (\d+) times)?", said)
+        assert [times for _, times in jogs] == ["2", ""] and file in jogs[0][0]
+        for command, times in jogs:
+            for _ in range(int(times or 1)):
+                assert main([*shlex.split(command), "--hold"]) == 0
+        assert home(file) == 0
+        assert [servo.home for servo in read_rig(file).servos] == [HOME - 559, HOME + 210]

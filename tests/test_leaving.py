@@ -37,7 +37,7 @@ def test_a_fault_that_its_program_has_seen_is_not_told_again():
             hold_for(robot, [1.0, 0.0], 0.5)
             bus.heat(0, 69.0)
             until(lambda: robot.report["state"] == "fault", 5.0)
-        with pytest.raises(ServoError, match=r"servo 1 is too hot\); mend that, .*\banew$"):
+        with pytest.raises(ServoError, match=r"servo 1 is too hot: \d+ °C, allowed is below 65 °C\).*Controller$"):
             bus.heat(0, 30.0)
             with Controller(rig, calibration(), limits) as robot:
                 robot.engage()

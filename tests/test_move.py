@@ -17,7 +17,7 @@ from emulated_robot import emulated
 from rigs import HOME, TICKS_PER_MM, angles, bench, calibration, torque
 from waiting import until
 
-from softmap_edge import builtin_model, save_bundle
+from softmap_edge import builtin_model, doctor, save_bundle
 from softmap_edge.cli import main
 from softmap_edge.commands.move import STEP
 from softmap_edge.commissioning import setup
@@ -26,6 +26,7 @@ from softmap_edge.commissioning.keys import Keys
 from softmap_edge.errors import ServoError
 from softmap_edge.servo.bus import opened
 from softmap_edge.servo.ceiling import Ceiling
+from softmap_edge.servo.proof import marked
 from softmap_edge.terminal_keys import named
 
 
@@ -154,8 +155,10 @@ def test_to_a_command_and_back(capsys):
     document = json.loads(capsys.readouterr().out)
     assert document["done_mm"] == pytest.approx([2.0, -1.0])
     assert document["at_mm"] == pytest.approx([2.0, -1.0], abs=5 / TICKS_PER_MM)
-    assert main(["move", "40,1", "--sim", "--hold", "--seconds", "0"]) == 0
-    told = capsys.readouterr().out
+    assert main(["move", "40,1", "--sim", "--hold", "--seconds", "0"]) == 1
+    told, error = capsys.readouterr()
+    assert "40.00, 1.00 mm is outside the window, the nearest is 16.00, 1.00 mm" in error
+    assert "find what holds" not in error, "it came where it was sent"
     assert "sent to 16.00, 1.00 mm (nearest to 40.00, 1.00 within its window)" in told
     came = re.search(r"came to (\S+), (\S+) mm", told)
     assert [float(one) for one in came.groups()] == pytest.approx([16.0, 1.0], abs=0.15), (
@@ -340,3 +343,55 @@ def test_a_jog_blocked_on_its_way_is_no_success(capsys, tmp_path):
         bus.damage(0, jammed=True)
         assert main(["move", "--rig", str(tmp_path / "rig.toml"), "--servo", "1", "--by", "200", "--hold"]) != 0
         assert "servo 1" in capsys.readouterr().err and angles(bus)[0] == pytest.approx(HOME, abs=1)
+
+
+@pytest.mark.parametrize("servo", [0, 1])
+def test_a_servo_that_does_not_turn_loses_its_proof_of_home(servo, tmp_path, capsys):
+    """Its encoder may stand while the horn turns; at rest nothing shows that."""
+    file = str(tmp_path / "rig.toml")
+    with bench() as (bus, rig, _):
+        rig.write(file)
+        bus.damage(servo, stuck=True)
+        assert main(["move", "--rig", file, "--servo", str(servo + 1), "--by", "100", "--hold"]) == 1
+        said = capsys.readouterr().err
+        assert f"servo {servo + 1} did not turn at all" in said and f"`softmap servo home --rig {file}`" in said
+        homes = {line.name: line.state for line in doctor.examine(rig=file).lines if line.name.startswith("home of")}
+        assert homes == {f"home of servo {k + 1}": "fault" if k == servo else "ok" for k in (0, 1)}
+
+
+def test_a_fault_of_a_jog_takes_the_proof_of_home_away():
+    with bench(load=[]) as (bus, rig, _):
+        with pytest.raises(ServoError, match="guard ended the jog.*run the same command again"), Jog(rig) as jog:
+            jog.press(0, HOME + 100.0)
+            bus.reset(0)
+            for _ in range(300):
+                jog.press(0, HOME + 100.0)
+                jog.robot.time.sleep(0.02)
+        with opened(rig.port, rig.baud) as port:
+            assert not marked(port, 1, HOME) and not marked(port, 2, HOME)
+
+
+def test_a_jog_that_its_window_ends_is_off_its_goal(tmp_path, capsys):
+    file = str(tmp_path / "rig.toml")
+    with bench() as (_, rig, _):
+        replace(rig, servos=tuple(replace(one, low=-100, high=50) for one in rig.servos)).write(file)
+        assert main(["move", "--rig", file, "--servo", "2", "--by", "200", "--hold"]) == 1
+        assert "was asked to go to 2200 ticks, outside its window of 1900 to 2050" in capsys.readouterr().err
+        assert main(["move", "--rig", file, "--servo", "2", "--by", "-90", "--hold"]) == 0
+
+
+def test_a_fault_at_the_command_line_says_what_to_type(tmp_path, capsys):
+    """No method of Python is named to somebody who typed a command, and the fault is reported once."""
+    file, finger = str(tmp_path / "rig.toml"), str(tmp_path / "finger")
+    save_bundle(replace(builtin_model(), calibration=calibration()), finger)
+    with bench() as (bus, rig, _):
+        rig.write(file)
+        threading.Timer(2.0, lambda: bus.heat(0, 69.0)).start()
+        assert main(["move", "1,1", "--rig", file, "--bundle", finger, "--hold", "--seconds", "9"]) == 2
+        said = capsys.readouterr().err
+        assert re.search(
+            r"servo 1 is too hot: 6\d °C, allowed is below 65 °C\); let it cool .*run the same command", said
+        )
+        assert said.count("too hot") == 1 and not re.search("acknowledge|engage|Controller", said)
+        bus.heat(0, 30.0)
+        assert main(["move", "1,1", "--rig", file, "--bundle", finger, "--hold", "--seconds", "0"]) == 0

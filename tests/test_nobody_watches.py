@@ -42,7 +42,9 @@ def test_a_program_that_sleeps_releases_the_servos_of_a_loop_that_dies_or_freeze
         os.kill(robot._process.pid, how)
         until(lambda: not torque(bus))
         assert robot.state == "fault" and robot.report["cause"] == "loop" and not robot.report["torque"]
-        with pytest.raises(ServoError, match=r"in state fault \(the control loop died or froze\); begin again"):
+        with pytest.raises(
+            ServoError, match=r"in state fault \(the control loop died or froze\); start another Controller"
+        ):
             robot.target([0.0, 0.0])
 
 

@@ -12,6 +12,7 @@ from rigs import BAUD, NUMBER, bench, calibration
 from softmap_edge import _core, builtin_model, doctor, save_bundle
 from softmap_edge.cli import main
 from softmap_edge.errors import NoAnswer, ServoError
+from softmap_edge.servo import presence
 from softmap_edge.servo.bus import heard, opened
 from softmap_edge.servo.combined import combined
 from softmap_edge.servo.controller import Controller
@@ -167,7 +168,7 @@ def test_an_id_that_changed_is_named_with_the_command_that_mends_it(tmp_path):
 def test_what_is_gone_is_gone():
     with bench() as (bus, rig, _):
         bus.damage(0, mute=True)
-        said = "no answer at .*; check power and wiring, `softmap servo scan` lists who answers"
+        said = "no answer at .*; check power and wiring, `softmap servo scan --port .*` lists who answers"
         assert re.fullmatch(said, why_silent(rig.port, rig.baud, 1, [1, 2]))
         bus.damage(0, mute=False)
         assert why_silent(rig.port, rig.baud, 1, [1, 2]).startswith("it answered late")
@@ -201,3 +202,24 @@ def test_the_doctor_holds_a_current_limit_against_the_limits_in_force(tmp_path):
             leave(bus.path, BAUD, current_limit=limit)
             lines = doctor.examine(tmp_path / "rig.toml", tmp_path / "finger").lines
             assert [line.state for line in lines if line.name == "servo 1"] == states, limit
+
+
+@pytest.mark.parametrize(
+    "ask",
+    [
+        lambda rig, file: examined(rig.port, rig.baud, members(rig)),
+        lambda rig, file: doctor.examine(rig=file),
+        lambda rig, file: main(["servo", "home", "--rig", file, "--yes"]),
+        lambda rig, file: main(["servo", "read", "--rig", file]),
+        lambda rig, file: main(["servo", "reboot", "--rig", file, "--id", "1"]),
+    ],
+)
+def test_why_a_servo_answers_no_reads_is_found_once(ask, tmp_path, monkeypatch, capsys):
+    """The diagnosis takes seconds: each further read repeats ten times."""
+    count, real = [], presence._silent_reads
+    monkeypatch.setattr(presence, "_silent_reads", lambda bus, id: count.append(id) or real(bus, id))
+    with bench() as (bus, rig, _):
+        rig.write(tmp_path / "rig.toml")
+        leave(bus.path, BAUD, status_return_level=0)
+        ask(rig, str(tmp_path / "rig.toml"))
+        assert count.count(1) == 1

@@ -144,7 +144,10 @@ def test_what_setup_mends_is_told(fresh, capsys):
     assert main(argv) == 0
     told = capsys.readouterr().out.splitlines()
     assert len(told) == 2, "the second time there is nothing to mend"
-    assert told[0].endswith(": set up") and told[1] == "  next, once all are: softmap servo home --rig FILE"
+    assert told[0].endswith(": set up") and told[1] == (
+        f"  next: softmap servo setup --port {fresh.path} --baud 57600 --id 1 --rig rig.toml, and once all are: "
+        "softmap servo home --rig rig.toml"
+    )
 
 
 def test_one_servo_at_a_time_is_set_up(capsys, tmp_path):
@@ -189,7 +192,7 @@ def test_torque_goes_off_whoever_left_it_on(capsys, tmp_path):
 def test_bad_ports_have_their_line(capsys, tmp_path):
     for argv, line in (
         (["servo", "scan", "--port", str(tmp_path / "none")], "no such port"),
-        (["servo", "off", "--rig", str(tmp_path / "rig.toml")], "make it with `softmap servo setup`"),
+        (["servo", "off", "--rig", str(tmp_path / "rig.toml")], "make it with `softmap servo setup --rig"),
         (["servo", "emulate", "--model", "XL1"], "no servo 'XL1' is known"),
         (["servo", "emulate", "--servos", "99"], "99 servos; allowed are 1 to 16"),
     ):

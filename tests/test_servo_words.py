@@ -1,5 +1,6 @@
 """What the guard does, why, and what it denies, in words: one set of them, for every state and cause."""
 
+import re
 from pathlib import Path
 
 import pytest
@@ -7,6 +8,8 @@ from loops import STATES
 
 from softmap_edge.commissioning.jog import Jog
 from softmap_edge.servo import words
+from softmap_edge.servo.controller import REQUESTS
+from softmap_edge.servo.rig import Rig, RigServo
 
 
 def test_every_state_and_cause_of_the_guard_has_its_words():
@@ -48,14 +51,15 @@ def test_what_leads_on_fits_the_state_and_home_is_lost_where_the_guard_loses_it(
     for cause in words.LOSES_HOME:
         assert "softmap servo home" in words.onward({"state": "fault", "cause": cause})
         assert "softmap servo home" in words.lost({"state": "fault", "cause": cause}, "")
-    for cause, line in {"hot": "mend that, then", "emergency": "release it,", "loop": "begin again"}.items():
+    for cause, line in {"hot": "let it cool", "emergency": "release the emergency", "loop": "start another"}.items():
         assert words.onward({"state": "fault", "cause": cause}).startswith(line)
         assert "softmap servo home" not in words.lost({"state": "fault", "cause": cause}, "")
     for state in ("connected", "off"):
         assert "softmap servo home" in words.onward({"state": state, "cause": "silent"})
-    assert "once it is ready" in words.onward({"state": "safe_stop", "cause": "hot"})
-    assert words.onward({"state": "homed"}) == "arm and engage it first"
-    assert words.onward({"state": "ready"}) == "engage it first"
+    assert "torque goes off; let it cool" in words.onward({"state": "safe_stop", "cause": "hot"})
+    assert words.onward({"state": "safe_stop", "cause": "stale"}).startswith("wait until it is ready")
+    assert words.onward({"state": "homed"}) == 'call request("arm") and engage() first'
+    assert words.onward({"state": "ready"}) == "call engage() first"
     page = (Path(__file__).parents[1] / "docs/safety.md").read_text(encoding="utf-8")
     rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in page.splitlines() if line.startswith("| ")]
     lost = {row[0] for row in rows if len(row) == 4 and "home must be proved" in row[3]}
@@ -69,10 +73,10 @@ def test_no_word_of_the_guards_own_is_shown():
     assert words.where({"state": "ready", "cause": "none"}) == "in state ready"
 
     class Ended:
-        state, report = "safe_stop", {"state": "safe_stop", "cause": "stale"}
+        state, report, limits = "safe_stop", {"state": "safe_stop", "cause": "stale"}, None
 
     jog = object.__new__(Jog)
-    jog.robot = Ended()
+    jog.robot, jog.rig = Ended(), Rig("PORT", 57_600, (RigServo(1, "XL330-M288"),))
     with pytest.raises(Exception, match=r"ended the jog: the robot is in state slackening \(no target came in time\)"):
         jog.press(0, 1.0)
 
@@ -86,3 +90,32 @@ def test_why_driving_ended_is_said_once_and_with_what_leads_on():
     assert words.lost(held, "no hand") == "driving ended: no hand; release the key and press it again"
     unproved = {"state": "connected", "cause": "tripped"}
     assert "home the robot again" in words.lost(unproved, words.sentence(tripped))
+
+
+@pytest.mark.parametrize("cause", words.CAUSES)
+@pytest.mark.parametrize("state", words.STATES)
+def test_each_reader_is_named_what_they_have(state, cause):
+    """A user of the command line has no methods; a program calls only what there is."""
+    report = {"state": state, "cause": cause, "servo": 0, "ids": [7]}
+    typed = words.onward(report, terminal=True)
+    assert typed.endswith("run the same command again")
+    assert not re.search(r"acknowledge|engage|Controller|\(\)", typed), typed
+    assert ("servo home" in typed) == ("servo home" in words.onward(report))
+    assert "softmap servo home" not in words.onward(report, terminal=True, bench=False)
+    for name in re.findall(r'request\("(\w+)"\)', words.onward(report)):
+        assert name in REQUESTS
+
+
+def test_a_cause_that_is_sensed_is_named_with_value_and_limit():
+    limits = {"servos": [{"hot": 65.0, "voltage": (3.5, 7.0), "low": 0, "high": 900}] * 2}
+    report = {"state": "fault", "cause": "hot", "ids": [4, 9], "temperature_C": [66.0, 40.0], "voltage_V": [5.0, 2.9]}
+    assert words.where(report, limits) == "in state fault (servo 4 is too hot: 66 °C, allowed is below 65 °C)"
+    assert words.denied("trouble(hot)", report, limits).startswith(
+        "servo 4 is too hot: 66 °C, allowed is below 65 °C; "
+    )
+    said = words.denied("trouble(voltage)", report, limits)
+    assert said.startswith("servo 9 has a supply voltage of 2.9 V, allowed are 3.5 to 7 V; check the power supply")
+    said = words.denied("outside", report | {"position": [950, 10]}, limits)
+    assert said.startswith("servo 4 stands at 950 ticks, outside its window of 0 to 900; turn it back by `softmap move")
+    assert "check the cables" in words.denied("trouble(late)", report, limits)
+    assert "too hot" in words.denied("trouble(hot)", {"temperature_C": [None]}, limits), "a report without values"

@@ -109,7 +109,7 @@ def test_how_it_ended_is_one_line(marks, changes, said):
 
 def test_a_session_that_runs_or_ended_in_order_says_nothing(marks):
     assert session_mark.last_session(left(marks, pid=os.getpid())) is None
-    assert session_mark.last_session(left(marks, pid=1)) is None
+    assert session_mark.last_session(left(marks, pid=1, pid_began=session_mark._began(1))) is None
     session_mark.end(left(marks))
     session_mark.report_last("/dev/ttyTEST")
 
@@ -130,3 +130,30 @@ def test_emulated_robots_have_no_mark(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
     with bench(200.0) as (_, rig, limits), Controller(rig, calibration(), limits):
         assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("field", ["pid", "loop_pid"])
+def test_another_process_that_got_the_old_id_is_not_taken_for_the_session(marks, field):
+    """Ids of processes are used again after a while."""
+    with subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE) as other:
+        name = field.removesuffix("_pid") + "_began"
+        file = left(marks, **{field: other.pid, name: session_mark._began(other.pid) - 100})
+        said = session_mark.last_session(file)
+        assert said is not None and "still runs" not in said
+        file = left(marks, **{field: other.pid, name: session_mark._began(other.pid)})
+        said = session_mark.last_session(file)
+        assert said is None if field == "pid" else "still runs" in said
+        file = left(marks, **{field: other.pid, name: None})
+        assert session_mark.last_session(file) == said, "a mark of an older version counts by its id"
+        other.communicate(b"")
+
+
+def test_when_a_process_began_is_read_behind_any_name(tmp_path):
+    odd = tmp_path / "a) 1 2 (b"
+    odd.symlink_to("/bin/sleep")
+    with subprocess.Popen([str(odd), "5"]) as other:
+        with subprocess.Popen(["/bin/sleep", "5"]) as plain:
+            assert 0 <= session_mark._began(plain.pid) - session_mark._began(other.pid) < 500
+            plain.kill()
+        other.kill()
+    assert session_mark._began(other.pid) is None

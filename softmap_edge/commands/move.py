@@ -19,11 +19,13 @@ from softmap_edge.commands.robot import bench_of, driving, emulated
 from softmap_edge.commissioning.jog import ARRIVED, EVERY, Jog, most_travel
 from softmap_edge.commissioning.pull import LEAST_SHORT, SHORT
 from softmap_edge.errors import ServoError, SoftmapError
+from softmap_edge.hints import with_files
 from softmap_edge.motion.curves import WIDEST
 from softmap_edge.printable import raw
 from softmap_edge.servo import words
 from softmap_edge.servo.controller import Controller
 from softmap_edge.servo.limits import JOG_TRAVEL
+from softmap_edge.servo.proof import forget
 from softmap_edge.servo.rig import Rig, read_rig
 from softmap_edge.terminal_keys import EMERGENCY
 
@@ -85,15 +87,22 @@ def move(args: argparse.Namespace) -> int:
                 print(HELP, file=sys.stderr)
                 _by_keys(jog, hand)
             end = jog.position
-            short = "" if args.by is None or hand.stopped else _jog_short(jog, _numbered(rig, args.servo), args.by)
+            asked = args.by is not None and not hand.stopped
+            short = _jog_short(jog, _numbered(rig, args.servo), begin, args.by) if asked else ""
             jog.stop()
+        stood = _stood(rig, begin, end, begin + _turns(rig, args)) if asked else ""
     servos = [
         {"id": one.id, "from": float(a), "to": float(b)} for one, a, b in zip(rig.servos, begin, end, strict=True)
     ]
     document = {"schema": "softmap.move/1", "servos": servos, "stopped": bool(hand.stopped), "short": short or None}
     lines = [f"servo {one['id']}: {one['from']:.0f} → {one['to']:.0f} ticks" for one in servos]
     print(json.dumps(document) if args.json else "\n".join([*lines, "torque is off"]))
-    return _reported(short)
+    return _reported(args, short, stood)
+
+
+def _turns(rig: Rig, args: argparse.Namespace) -> Any:
+    """Return how far (ticks) each servo is asked to turn."""
+    return np.array([args.by if servo.id == args.servo else 0.0 for servo in rig.servos], float)
 
 
 def _check_by(by: float | None, most: float) -> None:
@@ -165,6 +174,7 @@ def _go(args: argparse.Namespace) -> int:
             raise ServoError("nothing moved: it was not confirmed that the finger is free")
         robot = Controller(there.rig, there.calibration, there.limits)
         with driving(robot):
+            begin = robot.position
             done, sent, arrived = robot.engage(u), None, None
             while arrived is None or robot.time.now() - arrived < args.seconds:
                 done, now = robot.target(u), robot.time.now()
@@ -174,21 +184,45 @@ def _go(args: argparse.Namespace) -> int:
                     arrived = now
                 robot.time.sleep(EVERY)
             at = there.calibration.commands(robot.position)
-            short = _short(robot, done)
+            short, end = _short(robot, done), robot.position
+        stood = _stood(there.rig, begin, end, robot.calibration.ticks(done))
+    short = "; ".join(filter(None, [_cut(u, done), short]))
     document = {"schema": "softmap.move/1", "command_mm": u.tolist(), "done_mm": done.tolist(), "at_mm": at.tolist()}
     document |= {"short": short or None}
-    cut = "" if np.allclose(done, u, atol=0.01) else f" (nearest to {_mm(u)} within its window)"
-    came = "came only to" if short else "came to"
+    cut = f" (nearest to {_mm(u)} within its window)" if _cut(u, done) else ""
+    came = "came only to" if short and not cut else "came to"
     said = f"sent to {_mm(done)} mm{cut}, {came} {_mm(at)} mm by the servos; slack again, torque is off"
     print(json.dumps(document) if args.json else said)
-    return _reported(short)
+    return _reported(args, short, stood)
 
 
-def _reported(short: str) -> int:
-    """Report a move that ended short of its goal; return the exit code."""
-    if short:
-        to_stderr(f"softmap move: {short}")
-    return CAME_SHORT if short else 0
+def _reported(args: argparse.Namespace, short: str, stood: str) -> int:
+    """Report a move that ended off its goal, and servos that did not turn; return the exit code."""
+    for said in filter(None, (short, stood)):
+        to_stderr(f"softmap move: {with_files(said, args)}")
+    return CAME_SHORT if short or stood else 0
+
+
+def _cut(u: Any, done: Any) -> str:
+    """Return a line on a command `u` outside the window, of which `done` is the nearest; "" if it is inside."""
+    if np.allclose(done, u, atol=0.01):
+        return ""
+    return (
+        f"{_mm(u)} mm is outside the window, the nearest is {_mm(done)} mm; give a smaller command, or see who sets "
+        "the window: `softmap servo limits`"
+    )
+
+
+def _stood(rig: Rig, begin: Any, end: Any, target: Any) -> str:
+    """Take away the mark of home from servos that did not turn where they had to; return a line on them, or ""."""
+    still = (np.abs(end - begin) < ARRIVED) & (np.abs(target - begin) > LEAST_SHORT)
+    if not (ids := [servo.id for servo, stood in zip(rig.servos, still) if stood]):
+        return ""
+    forget(rig.port, rig.baud, ids)
+    return (
+        f"servo {', '.join(map(str, ids))} did not turn at all: it is blocked, or its encoder stands, so that its home "
+        "is no longer proved; free it, then home the robot again (`softmap servo home --rig FILE`)"
+    )
 
 
 def _short(robot: Controller, done: Any) -> str:
@@ -198,9 +232,16 @@ def _short(robot: Controller, done: Any) -> str:
     return _far(robot.rig, target, robot.position, target - home, [one["current"] for one in limits])
 
 
-def _jog_short(jog: Jog, servo: int, by: float) -> str:
-    """Return a line on a jogged servo that is short of its goal; "" if it is not."""
-    target = jog.goal.copy()
+def _jog_short(jog: Jog, servo: int, begin: Any, by: float) -> str:
+    """Return a line on a jogged servo that is short of where it was asked to go; "" if it is not."""
+    target, asked = jog.goal.copy(), begin[servo] + by
+    if abs(target[servo] - asked) > max(LEAST_SHORT, SHORT * abs(by)):
+        limits = jog.robot.limits["servos"][servo]
+        return (
+            f"servo {jog.rig.servos[servo].id} was asked to go to {asked:.0f} ticks, outside its window of "
+            f"{limits['low']:.0f} to {limits['high']:.0f}; give a smaller --by, or see who sets the window: "
+            "`softmap servo limits`"
+        )
     away = np.zeros(len(target))
     away[servo] = by
     most = min(jog.robot.limits["jog_current"], jog.robot.limits["servos"][servo]["current"] or np.inf)

@@ -65,6 +65,7 @@ def record_on_robot(args: argparse.Namespace) -> int:
                 save_bundle(model, args.calibrated)
             with Bar(args.json) as bar, Keeper(seen_file, behind, model) as keeper:
                 robot = Controller(bench.rig, bench.calibration, bench.limits, record=file, tell=to_stderr)
+                robot.at_terminal = True
                 key = EmergencyKey(robot, to_stderr)
                 player = Player(
                     robot,

@@ -119,7 +119,7 @@ def plain_map(model: Model) -> Calibration:
 def driving(robot: Controller, record: str | None = None) -> Iterator[None]:
     """Enter `robot`, with the key of a terminal as its emergency stop; once Ctrl-C has ended it, say what is left."""
     try:
-        robot.tell = to_stderr
+        robot.tell, robot.at_terminal = to_stderr, True
         with EmergencyKey(robot, to_stderr), robot:
             yield
     except KeyboardInterrupt:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import shlex
 import warnings
 from pathlib import Path
 from typing import Any
@@ -21,12 +22,15 @@ from softmap_edge.commissioning import setup
 from softmap_edge.commissioning.rig_entry import changes, entered, entry_of
 from softmap_edge.errors import NoAnswer, RecordingWarning, ServoError
 from softmap_edge.experiment.recorded import run_of
+from softmap_edge.hints import with_files
 from softmap_edge.servo import words
 from softmap_edge.servo.bus import opened, ports, release
+from softmap_edge.servo.conditions import unfit
 from softmap_edge.servo.ending import kept_words
 from softmap_edge.servo.examined import members
 from softmap_edge.servo.known_state import differs, passing
 from softmap_edge.servo.presence import why_silent
+from softmap_edge.servo.proof import marked
 from softmap_edge.servo.recording import read_recording
 from softmap_edge.servo.rig import Rig, read_rig
 
@@ -73,8 +77,10 @@ def _scan(args: argparse.Namespace) -> int:
             found += heard.found
             remarks += heard.remarks
             if not args.json:
-                print("".join(f"{line}\n" for line in [*heard.found, *(f"  ! {one}" for one in heard.remarks)]), end="")
+                said = [f"  ! {with_files(one, args)}" for one in heard.remarks]
+                print("".join(f"{line}\n" for line in [*heard.found, *said]), end="")
     remarks += (missing := _missing(rig, found))
+    remarks, missing = ([with_files(one, args) for one in some] for some in (remarks, missing))
     if args.json:
         servos = [_told(servo) for servo in found]
         print(json.dumps({"schema": "softmap.servos/1", "servos": servos, "remarks": remarks}))
@@ -93,39 +99,44 @@ def _told(servo: setup.Found) -> dict[str, Any]:
     )
 
 
-def _find(args: argparse.Namespace) -> tuple[list[setup.Found], list[str]]:
-    """Return the selected servos, and remarks on wrong answers."""
+def _find(args: argparse.Namespace) -> tuple[list[setup.Found], list[str], set[int]]:
+    """Return the selected servos, remarks on wrong answers, and the ids that answer pings only."""
     heard = [one for port in _ports(args) for one in setup.scanned(port, args.baud)]
     every = [servo for one in heard for servo in one.found]
     remarks = [remark for one in heard for remark in one.remarks]
     found = [servo for servo in every if args.id is None or servo.id == args.id]
     if found:
-        return found, remarks
+        return found, remarks, {id for one in heard for id in one.mute}
     if remarks and not every:
         raise ServoError(remarks[0])
     which = "no servo" if args.id is None else f"no servo of id {args.id}"
     if args.id is not None and args.port and args.baud:
         raise ServoError(f"{which} answers: {why_silent(args.port, args.baud, args.id)}")
-    raise ServoError(f"{which} answers; check power and wiring, `softmap servo scan` lists what does")
+    scan = f"softmap servo scan --port {shlex.quote(args.port)}" if args.port else "softmap servo scan"
+    raise ServoError(f"{which} answers; check power and wiring, `{scan}` lists what does")
 
 
 def _read(args: argparse.Namespace) -> int:
     documents = []
     rig = _of_rig(args)
-    found, remarks = _find(args)
+    found, remarks, mute = _find(args)
     remarks += [] if args.id is not None else _missing(rig, found)
+    remarks = [with_files(one, args) for one in remarks]
     asked = {} if rig is None else {one.id: one.asked for one in members(rig)}
     well = not remarks
     shared = {servo.id for servo in found if [one.id for one in found].count(servo.id) > 1}
     for servo in {(one.port, one.baud, one.id): one for one in found}.values():
-        values, said = ({}, []) if servo.id in shared else _registers(servo, asked.get(servo.id))
+        unread = servo.id in shared or servo.id in mute
+        values, said = ({}, []) if unread else _registers(servo, asked.get(servo.id))
+        said = [with_files(one, args) for one in said]
         well &= not said
         documents.append(_told(servo) | {"registers": values, "complaints": said})
         if not args.json:
             print(servo)
             print("".join(f"  {name.replace('_', ' '):<24} {value}\n" for name, value in values.items()), end="")
             print(
-                "\n".join(f"  ! {line}" for line in said) or ("  set up" if values else "  its answers are not its own")
+                "\n".join(f"  ! {line}" for line in said)
+                or ("  set up" if values else "  its registers cannot be read: see below")
             )
     if args.json:
         print(json.dumps({"schema": "softmap.servos/1", "servos": documents, "remarks": remarks}))
@@ -139,15 +150,18 @@ def _registers(servo: setup.Found, asked: setup.Asked | None) -> tuple[dict[str,
     try:
         with opened(servo.port, servo.baud) as bus:
             values = setup.registers(bus, servo.id)
+            window = None if asked is None else asked.window
+            proved = asked is not None and window is not None and marked(bus, servo.id, asked.home)
     except NoAnswer as fault:
         return {}, [str(fault)]
     left = [differs(servo, need, values[need.register]) for need in passing(servo, values, asked)]
-    return values, setup.complaints(servo, values, asked) + [f"{one}; each start writes it again" for one in left]
+    said = setup.complaints(servo, values, asked) + unfit(servo, values, asked, proved)
+    return values, said + [f"{one}; each start writes it again" for one in left]
 
 
 def _setup(args: argparse.Namespace) -> int:
     check_file("--rig", args.rig, ".toml")
-    found, remarks = _find(args)
+    found, remarks, _ = _find(args)
     ids = [servo.id for servo in found]
     if len(found) > 1:
         if shared := [line for line in remarks if len(set(ids)) < len(ids) and "share" in line]:
@@ -167,8 +181,16 @@ def _setup(args: argparse.Namespace) -> int:
     else:
         print("".join(f"  {line}\n" for line in mended), end="")
         print(f"{done}: set up" + (f", noted in {args.rig}" if args.rig else ""))
-        print(f"  next, once all are: softmap servo home --rig {args.rig or 'FILE'}")
+        print(_next(args, done))
     return 0
+
+
+def _next(args: argparse.Namespace, done: setup.Found) -> str:
+    """Return what comes after set-up: homing, which needs a rig that holds the servo."""
+    if args.rig:
+        return f"  next, once all are: softmap servo home --rig {shlex.quote(args.rig)}"
+    where = f"--port {shlex.quote(done.port)} --baud {done.baud} --id {done.id}"
+    return f"  next: softmap servo setup {where} --rig rig.toml, and once all are: softmap servo home --rig rig.toml"
 
 
 def _off(args: argparse.Namespace) -> int:
@@ -186,7 +208,7 @@ def _off(args: argparse.Namespace) -> int:
             told = f"off: servo {', '.join(map(str, there))}" if there else "no servo confirmed it"
             print(f"{name}: torque off was sent; {told}")
             if left:
-                print(f"{name}: {kept_words(left)}")
+                print(f"{name}: {with_files(kept_words(left), args)}")
     if args.json:
         document = {"schema": "softmap.servos/1", "released": ports, "confirmed": released, "not_confirmed": kept}
         print(json.dumps(document))

@@ -138,7 +138,7 @@ def _said(args: argparse.Namespace, port: str, model: Model, names: list[str]) -
         rig = shlex.quote(args.rig or "rig.toml")
         lines += [
             "next, in another terminal, for each servo:",
-            f"  softmap servo setup --port {port} --id 1 --rig {rig}",
+            f"  softmap servo setup --port {port} --baud {args.baud} --id 1 --rig {rig}",
         ]
     elif args.rig and args.calibrated:
         on = f"--bundle {shlex.quote(args.calibrated)} --rig {shlex.quote(args.rig)}"

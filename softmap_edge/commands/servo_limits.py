@@ -7,6 +7,7 @@ import json
 
 from softmap_edge.commands.own import effects_argument, load_own, open_model
 from softmap_edge.errors import ServoError
+from softmap_edge.hints import with_files
 from softmap_edge.servo.combined import combined
 from softmap_edge.servo.limits import RATE
 from softmap_edge.servo.rig import read_rig
@@ -33,7 +34,7 @@ def limits(args: argparse.Namespace) -> int:
     try:
         found.table()
     except ServoError as fault:
-        refused = str(fault)
+        refused = with_files(str(fault), args)
     if args.json:
         print(json.dumps(found.to_dict() | {"refused": refused}))
     else:

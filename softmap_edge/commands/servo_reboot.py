@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import shlex
 
 from softmap_edge.commissioning.reboot import restart
 from softmap_edge.commissioning.setup import scan
@@ -29,7 +30,7 @@ def reboot(args: argparse.Namespace) -> int:
     if args.json:
         print(json.dumps(done.to_dict()))
     else:
-        print(f"{done}\n  next: softmap servo home --rig {args.rig or 'FILE'}")
+        print(f"{done}\n  next: softmap servo home --rig {shlex.quote(args.rig or 'FILE')}")
     return 0
 
 

@@ -109,6 +109,7 @@ def _drive(args: argparse.Namespace) -> int:
                 bench.rig, bench.calibration, bench.limits, kinematics=kinematics, record=args.record, tell=to_stderr
             )
         )
+        robot.at_terminal = True
         show: Callable[[Any], None] | None = None
         if page is not None:
             about = {"source": "hand" if by_hand else "knob"}

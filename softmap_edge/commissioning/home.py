@@ -7,6 +7,7 @@ Pinned by tests/test_home.py.
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from typing import Any
@@ -15,8 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge import _core
+from softmap_edge.commissioning.jog import most_travel
 from softmap_edge.errors import ServoError
 from softmap_edge.servo.bus import heard, opened
+from softmap_edge.servo.conditions import jogs
 from softmap_edge.servo.examined import examined, members, refusal
 from softmap_edge.servo.proof import marked, set_mark
 from softmap_edge.servo.rig import FARTHEST, Rig, RigServo
@@ -79,16 +82,18 @@ def prove(rig: Rig, confirmed: str, *, new: bool = False) -> Homed:
     with opened(rig.port, rig.baud) as bus:
         positions = _watched(bus, rig)
         known = [marked(bus, servo.id, servo.home) for servo in rig.servos]
-        homes, away, turns = [], [], []
+        homes, away, turns, far = [], [], [], []
+        most = most_travel(rig)
         for servo, position, proved in zip(rig.servos, positions, known):
             fresh = new or servo.home is None
             stored = position if fresh or servo.home is None else servo.home
             turned = round((position - stored) / TURN)
             home = stored + turned * TURN
-            _check_near(servo, position, home, turned if proved else 0)
+            far.append(_far(servo, position, home, turned if proved else 0, most))
             homes.append(home)
             away.append(position - home)
             turns.append(turned)
+        _check_near([one for one in far if one])
         for servo, home in zip(rig.servos, homes):
             set_mark(bus, servo.id, home)
     first = tuple(servo.id for servo in rig.servos if new or servo.home is None)
@@ -106,20 +111,33 @@ def prove(rig: Rig, confirmed: str, *, new: bool = False) -> Homed:
     return Homed(changed, tuple(away), tuple(turns), first)
 
 
-def _check_near(servo: RigServo, position: int, home: int, turned: int) -> None:
-    if turned != 0:
-        raise ServoError(
-            f"servo {servo.id} stands {turned:+d} turns from its home, which is still proved: the finger is not "
-            "straight or a tendon is wound up; unwind it, or make this home with --new"
-        )
-    if abs(position - home) > NEAR:
-        raise ServoError(
-            f"servo {servo.id} stands at {position}, {position - home:+d} ticks from the stored home within a turn; "
-            f"allowed are {NEAR}: straighten the finger (`softmap move` turns a servo), look for a slipped tendon, or "
-            "make this home with --new"
-        )
+def _far(servo: RigServo, position: int, home: int, turned: int, most: float) -> tuple[str, str] | None:
+    """Return why a servo is not where its home is, and the commands that turn it back; None if it is near.
+
+    Raises:
+        ServoError: no home can be there.
+    """
     if abs(home) > FARTHEST:
         raise ServoError(f"servo {servo.id}: home at {home} ticks; allowed is ±{FARTHEST}: make this home with --new")
+    if turned != 0:
+        stands = f"stands {turned:+d} turns from its home, which is still proved: a tendon is wound up"
+        return f"servo {servo.id} {stands}", jogs(servo.id, home - turned * TURN - position, most)
+    if abs(position - home) > NEAR:
+        stands = f"stands at {position}, {position - home:+d} ticks from the stored home within a turn"
+        return f"servo {servo.id} {stands}", jogs(servo.id, home - position, most)
+    return None
+
+
+def _check_near(far: Sequence[tuple[str, str]]) -> None:
+    """Raise ServoError if a servo is not where its home is; the message lists all of them."""
+    if not far:
+        return
+    found, turns = (", ".join(texts) for texts in zip(*far))
+    raise ServoError(
+        f"{found}, allowed are {NEAR}; straighten the finger: {turns}, or look for a slipped tendon, then home it "
+        "again. --new is for another finger or another mounting only: it makes this shape command 0, and calibrations "
+        "made before no longer fit"
+    )
 
 
 def _watched(bus: _core.ServoBus, rig: Rig) -> list[int]:

@@ -17,7 +17,7 @@ from typing import Literal, Protocol, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from softmap_edge.errors import ServoError
+from softmap_edge.errors import GuardStopped, ServoError
 from softmap_edge.servo import words
 from softmap_edge.servo.bus import opened
 from softmap_edge.servo.combined import of_bench
@@ -25,7 +25,7 @@ from softmap_edge.servo.controller import Controller
 from softmap_edge.servo.emergency_key import PRESSED
 from softmap_edge.servo.limits import JOG_SLEW, JOG_TRAVEL, Table, loop_limits, servo_limits, strongest
 from softmap_edge.servo.models import servo_model
-from softmap_edge.servo.proof import marked
+from softmap_edge.servo.proof import forget, marked
 from softmap_edge.servo.rig import FARTHEST, Rig
 from softmap_edge.ticks import Calibration
 
@@ -91,6 +91,7 @@ class Jog:
         home = np.array([servo["home"] for servo in limits["servos"]], float)
         ticks = Calibration.stated(np.eye(count), home, home, "ticks as they are", unit="ticks")
         self.robot = Controller(rig, ticks, limits, commissioning=True, tell=tell)
+        self.robot.at_terminal = True
         self._began: Ticks | None = None
         self._target: Ticks | None = None
 
@@ -102,7 +103,12 @@ class Jog:
         self, kind: type[BaseException] | None, fault: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.robot.time.there(driving=False)
-        self.robot.__exit__(kind, fault, trace)
+        try:
+            self.robot.__exit__(kind, fault, trace)
+        finally:
+            report = self.robot.report
+            if report.get("state") == "fault" and report.get("cause") in words.LOSES_HOME:
+                forget(self.rig.port, self.rig.baud, [servo.id for servo in self.rig.servos])
 
     @property
     def position(self) -> Ticks:
@@ -132,7 +138,9 @@ class Jog:
         state = self.robot.state
         if state not in ("commissioning", "connected"):
             report = self.robot.report
-            raise ServoError(f"the guard ended the jog: the robot is {words.where(report)}; mend that and begin again")
+            bench = self.rig.file is not None
+            where, onward = words.where(report, self.robot.limits), words.onward(report, terminal=True, bench=bench)
+            raise GuardStopped.by(f"the guard ended the jog: the robot is {where}; {onward}", report.get("cause"))
         if state == "connected":
             self.robot.request("commission")
             self._began, self._target = self.goal, None

@@ -254,7 +254,8 @@ def _now(jog: Jog, k: int) -> list[tuple[float, float]]:
 
 def _ended(jog: Jog, servo: RigServo) -> str:
     return (
-        f"the pull of servo {servo.id} was stopped before its end, {words.where(jog.robot.report)}; nothing was written"
+        f"the pull of servo {servo.id} was stopped before its end, "
+        f"{words.where(jog.robot.report, jog.robot.limits)}; nothing was written"
     )
 
 

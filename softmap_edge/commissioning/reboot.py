@@ -57,8 +57,9 @@ def restart(port: str, baud: int, id: int) -> Restarted:
     try:
         return _restarted(port, baud, id)
     except NoAnswer as fault:
-        why = why_silent(port, baud, id)
-        raise NoAnswer(str(fault) if "pings only" in str(fault) else f"servo {id}: {why}") from None
+        if "pings only" in fault.why:
+            raise
+        raise NoAnswer(f"servo {id}: {why_silent(port, baud, id)}") from None
 
 
 def _restarted(port: str, baud: int, id: int) -> Restarted:

@@ -10,12 +10,13 @@ at what belongs to one bench. Pinned by tests/test_doctor.py.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from softmap_edge import __version__
 from softmap_edge.doctor.line import FAULT, OK, WARNING, Line
+from softmap_edge.hints import filled
 
 __all__ = ["FAULT", "OK", "WARNING", "Examined", "Line", "examine"]
 
@@ -55,7 +56,7 @@ def examine(rig: str | Path | None = None, bundle: str | Path | None = None, cam
         host.versions,
         host.processor,
         host.real_time,
-        host.ports,
+        lambda: host.ports(host.DEV, rig),
         host.latency,
         host.teleoperation,
         lambda: host.cameras(camera),
@@ -63,7 +64,11 @@ def examine(rig: str | Path | None = None, bundle: str | Path | None = None, cam
     looks += [] if bundle is None else [lambda: bench.bundle(bundle)]
     looks += [] if rig is None else [lambda: bench.rig(rig, bundle)]
     looks += [] if rig is None or bundle is None else [lambda: bench.limits(rig, bundle)]
-    return Examined(tuple(line for look in looks for line in _safely(look)))
+    files = [None if one is None else str(one) for one in (rig, bundle)]
+    lines = [line for look in looks for line in _safely(look)]
+    return Examined(
+        tuple(replace(line, do=filled(line.do, *files), found=filled(line.found, *files)) for line in lines)
+    )
 
 
 def _safely(look: Callable[[], Iterable[Line]]) -> list[Line]:
@@ -71,6 +76,6 @@ def _safely(look: Callable[[], Iterable[Line]]) -> list[Line]:
     try:
         return list(look())
     except Exception as fault:
-        name = getattr(look, "__name__", "look").replace("_", " ")
+        name = getattr(look, "__name__", "look").replace("_", " ").replace("<lambda>", "look")
         said = f"could not be looked at ({type(fault).__name__}: {str(fault)[:120]})"
         return [Line(name, FAULT, said, "this is a fault of softmap: please report it")]

@@ -8,9 +8,11 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
+import shlex
 import stat
 import textwrap
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 from softmap_edge.doctor.line import FAULT, OK, WARNING, Line, faulty
@@ -25,7 +27,8 @@ from softmap_edge.servo.proof import check_proved
 from softmap_edge.servo.rig import Rig, RigServo, read_rig
 from softmap_edge.signed_udp import read_key
 
-SCAN = "run softmap servo scan"
+NEAR = 150  # ticks from home that a straight finger may stand, as in homing
+SCAN = "run `softmap servo scan --rig FILE`"
 
 
 def bundle(folder: str | Path) -> Iterator[Line]:
@@ -49,7 +52,7 @@ def bundle(folder: str | Path) -> Iterator[Line]:
         yield Line("calibration", OK, f"of {textwrap.shorten(found.run, 60, placeholder=' …')}{window}")
     there = (Path(folder) / "safety.toml").is_file()
     if model.safety is not None and model.safety.edited:
-        do = "look at softmap servo limits, or build the bundle again"
+        do = "look at `softmap servo limits --rig FILE`, or build the bundle again"
         yield Line("safety.toml", WARNING, "edited since the bundle was written", do)
     else:
         yield Line("safety.toml", OK, "there" if there else "none: the limits are derived from the model each time")
@@ -69,10 +72,10 @@ def limits(file: str | Path, folder: str | Path) -> Iterator[Line]:
         found = combined(bench, model)
         found.table()
     except SoftmapError as fault:
-        yield faulty("limits", fault, "softmap servo limits says who sets them")
+        yield faulty("limits", fault, "`softmap servo limits` lists who sets them")
         return
     said = "derived from the model" if found.derived else "with those of the bundle"
-    yield Line("limits", OK, f"{said}; softmap servo limits prints them")
+    yield Line("limits", OK, f"{said}; `softmap servo limits` prints them")
 
 
 def rig(file: str | Path, folder: str | Path | None = None) -> Iterator[Line]:
@@ -84,7 +87,8 @@ def rig(file: str | Path, folder: str | Path | None = None) -> Iterator[Line]:
     try:
         bench = read_rig(file)
     except ServoError as fault:
-        yield faulty("rig", fault, "mend it there, or make it again with softmap servo setup")
+        do = "correct it there, or move it away and make it again with `softmap servo setup --rig FILE`"
+        yield faulty("rig", fault, do)
         return
     yield Line("rig", OK, f"{file}: {len(bench.servos)} servos at {bench.port}, {bench.baud} baud")
     uncapped = [
@@ -93,7 +97,7 @@ def rig(file: str | Path, folder: str | Path | None = None) -> Iterator[Line]:
         if servo.current_mA is None and servo_model(servo.model)["current_limit_mA"] is not None
     ]
     if uncapped:
-        do = "run softmap servo pull; until then a share of the servo's own limit is taken"
+        do = "run `softmap servo pull`; until then a share of the servo's own limit is taken"
         yield Line("ceiling", WARNING, f"no current was measured for servo {_listed(uncapped)}", do)
     yield from _stops(bench)
     try:
@@ -109,8 +113,12 @@ def _stops(bench: Rig) -> Iterator[Line]:
         try:
             read_key(stops.udp.key_file)
         except (SoftmapError, OSError) as fault:
-            do = "softmap servo heartbeat --new-key FILE makes one, for both computers"
-            wrong.append(faulty("emergency stop", fault, do))
+            key = shlex.quote(str(stops.udp.key_file))
+            line, do = (
+                faulty("emergency stop", fault, ""),
+                f"`softmap servo heartbeat --new-key {key}` makes one for both",
+            )
+            wrong.append(replace(line, do=", or ".join(filter(None, [line.do, do]))))
     if stops.gpio is not None:
         try:
             if not stat.S_ISCHR(os.stat(stops.gpio.chip).st_mode):
@@ -139,27 +147,29 @@ def _servos(bench: Rig, asked: list[Member]) -> Iterator[Line]:
     seen = examined(bench.port, bench.baud, asked)
     for servo, one in zip(bench.servos, seen):
         name, found = f"servo {servo.id}", one.found
-        for complaint in one.wrong:
+        for complaint in (*one.wrong, *one.unfit):
             yield faulty(name, complaint, SCAN)
         if found is None or found.number != dict(bench.numbers)[servo.id] or not one.values:
             continue
         for need in one.passing:
             said = differs(found, need, one.values[need.register])
             yield Line(name, WARNING, said, "each start writes it again")
-        if not one.wrong and not one.passing:
+        if not (one.wrong or one.unfit or one.passing):
             yield Line(name, OK, f"{servo.model}, firmware {found.firmware}, set up")
-        yield _home(bench, servo)
+        yield _home(bench, servo, one.values["present_position"])
 
 
-def _home(bench: Rig, servo: RigServo) -> Line:
-    """Whether the home of a servo is proved."""
+def _home(bench: Rig, servo: RigServo, position: int) -> Line:
+    """Whether the home of a servo is proved, and how far (ticks) it stands from it."""
     name = f"home of servo {servo.id}"
     try:
         with opened(bench.port, bench.baud) as bus:
             check_proved(bus, [(servo.id, servo.home)])
     except ServoError as fault:
-        return faulty(name, fault, SCAN)
-    return Line(name, OK, f"proved since power-up, at {servo.home}")
+        return faulty(name, str(fault).removeprefix(f"servo {servo.id}: "), SCAN)
+    away = position - (servo.home or 0)
+    stands = f"; it stands {away:+d} ticks from there" if abs(away) > NEAR else ""
+    return Line(name, OK, f"proved since power-up, at {servo.home}{stands}")
 
 
 def _listed(ids: list[int]) -> str:

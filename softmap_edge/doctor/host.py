@@ -107,11 +107,14 @@ def _user() -> str:
     return os.environ.get("USER") or str(os.getuid())
 
 
-def ports(dev: Path = DEV) -> Iterator[Line]:
-    """The serial ports, and whether this user may open them; none is opened."""
+def ports(dev: Path = DEV, rig: str | Path | None = None) -> Iterator[Line]:
+    """The serial ports with that of `rig`, and whether this user may open them; none is opened."""
     from softmap_edge.servo.bus import ports as listed
 
     found = listed(dev)
+    own = None if rig is None else _port_of(rig)
+    if own is not None and os.path.realpath(own) not in map(os.path.realpath, found):
+        found.append(own)
     if not found:
         yield Line("serial port", WARNING, "none", "connect the adapter of the servos; `--sim` needs none")
     for port in found:
@@ -119,7 +122,9 @@ def ports(dev: Path = DEV) -> Iterator[Line]:
         try:
             status = file.stat()
         except OSError as fault:
-            yield Line(port, FAULT, f"{fault.strerror}", "unplug the adapter and plug it in again")
+            do = "unplug the adapter and plug it in again"
+            do += f", or correct port in {rig}" if port == own else ""
+            yield Line(port, FAULT, f"{fault.strerror}", do)
             continue
         owner, mode = _group(status.st_gid), stat.filemode(status.st_mode)
         if os.access(file, os.R_OK | os.W_OK):
@@ -127,6 +132,17 @@ def ports(dev: Path = DEV) -> Iterator[Line]:
         else:
             do = f"run sudo usermod -aG {owner} {_user()}, then log in again"
             yield Line(port, FAULT, f"no permission for this user ({mode}, group {owner})", do)
+
+
+def _port_of(rig: str | Path) -> str | None:
+    """Return the port that a rig file names, None if the file cannot be read: another line reports that."""
+    from softmap_edge.errors import SoftmapError
+    from softmap_edge.servo.rig import read_rig
+
+    try:
+        return read_rig(rig).port
+    except SoftmapError:
+        return None
 
 
 def _group(number: int) -> str:

@@ -1,12 +1,13 @@
 """One thing that the doctor looked at, as a line: its name, how it stands, what was found, what to do.
 
-Errors here say what was wrong and, behind "; ", what to do; `faulty` is the one place that takes them apart. Pinned by
-tests/test_doctor.py.
+Errors here say what was wrong and, behind "; ", what to do (`hints.parted`). Pinned by tests/test_doctor.py.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+
+from softmap_edge.hints import parted
 
 OK, WARNING, FAULT = "ok", "warning", "fault"
 
@@ -32,5 +33,5 @@ class Line:
 
 def faulty(name: str, said: object, otherwise: str) -> Line:
     """Return what an error or a complaint says as a line; `otherwise` is to be done where it names no remedy."""
-    found, _, do = str(said).partition("; ")
+    found, do = parted(said)
     return Line(name, FAULT, found or "no reason is told", do or otherwise)

@@ -77,7 +77,9 @@ def heard(bus: _core.ServoBus, id: int, address: int, size: int) -> bytes:
         from softmap_edge.servo.presence import muted
 
         said = muted(bus, id)
-        raise NoAnswer(f"servo {id}{'' if said.startswith('answers') else ':'} {said}") from None
+        fault = NoAnswer(f"servo {id}{'' if said.startswith('answers') else ':'} {said}")
+        fault.why = said
+        raise fault from None
 
 
 def pings_only(port: str, baud: int, id: int) -> str:

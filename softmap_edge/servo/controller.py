@@ -30,7 +30,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from softmap_edge import __version__, _core
-from softmap_edge.errors import RecordingBroken, ServoError, SoftmapError
+from softmap_edge.errors import GuardStopped, RecordingBroken, ServoError, SoftmapError
 from softmap_edge.motion.kinematics import Kinematics
 from softmap_edge.servo import session_mark, words
 from softmap_edge.servo.bench_limits import check_bench
@@ -133,6 +133,8 @@ class Controller(Watched):
         self, kind: type[BaseException] | None, fault: BaseException | None, trace: TracebackType | None
     ) -> None:
         ended, kept = self._close()
+        if isinstance(fault, GuardStopped) and fault.cause == self._last.get("cause"):
+            ended = ""  # the fault that ended the drive, which is reported already
         broken = None if self.unrecorded is None or self.unrecorded in str(fault) else self.unrecorded
         said = "; ".join(filter(None, (ended, kept, broken)))
         if said and isinstance(fault, SoftmapError):
@@ -182,10 +184,10 @@ class Controller(Watched):
             f"'{name}' was not answered",
         )
         if denied := self._last.get("denied"):
-            why = words.denied(denied, self._last)
-            raise ServoError(f"'{name}' is denied {words.where({'state': before})}: {why}")
+            why = words.denied(denied, self._last, self.limits)
+            raise ServoError(self._named(f"'{name}' is denied {words.where({'state': before})}: {why}"))
         if reached is not None and self._last["state"] != reached:
-            raise ServoError(f"'{name}' led elsewhere: the robot is {words.where(self._last)}")
+            raise ServoError(f"'{name}' led elsewhere: {self._stopped()}")
 
     def engage(self, u: ArrayLike | None = None) -> Floats:
         """Switch torque on where the finger stands and go to `u` (C,) mm, by default straight.
@@ -211,7 +213,7 @@ class Controller(Watched):
         """
         state = self.state
         if state not in ("engaged", "hold", "commissioning"):
-            raise ServoError(f"the robot is {self._silence() or words.where(self._last)}; {words.onward(self._last)}")
+            raise GuardStopped.by(self._stopped(), self._last.get("cause"))
         return self._target(u)
 
     def release(self) -> None:
@@ -265,7 +267,7 @@ class Controller(Watched):
                     float(self.limits["slacken"]) + 2.0,
                 )
             if active and self._last.get("state") == "fault" and not self._pressed:
-                ended = f"the robot is {words.where(self._last)}; {words.onward(self._last)}"
+                ended = self._stopped()
         finally:
             with self._ordering:
                 self._ending, self._process = True, None
@@ -355,7 +357,7 @@ class Controller(Watched):
         with self._heard:
             last, came = self._last, what()
         if "error" in last:
-            raise ServoError(str(last["error"]))
+            raise ServoError(self._named(str(last["error"])))
         if "gone" in last:
             raise ServoError(str(last["gone"]))
         if not came:
@@ -382,13 +384,6 @@ class Controller(Watched):
         if np.isfinite(u).all():
             self._done = self._nearest(u)
         return self._done.copy()
-
-    def _silence(self) -> str | None:
-        """Return state and cause where the guard let go because this program sent no target: that is the key."""
-        silent = 0.0 if self._drove_at is None else self.rig.time.now() - self._drove_at
-        if self._last.get("cause") not in ("deadman", "stale") or silent <= float(self.limits["stale"]):
-            return None
-        return f"in state {words.state(self._last)} (this program sent no target for {silent:.1f} s)"
 
     def _nearest(self, u: Floats) -> Floats:
         if self.kinematics is not None and self.kinematics.model.chain_names:

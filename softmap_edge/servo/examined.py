@@ -6,16 +6,20 @@ tests/test_known_state.py and tests/test_presence.py.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from softmap_edge import _core
 from softmap_edge.errors import NoAnswer, ServoError
+from softmap_edge.hints import parted
 from softmap_edge.servo.bus import opened, patiently, pinged, registers
+from softmap_edge.servo.conditions import unfit
 from softmap_edge.servo.known_state import Asked, Found, Need, Values, complaints, gains_of, passing, usual
 from softmap_edge.servo.models import numbered, servo_model
 from softmap_edge.servo.presence import muted, shared, shares, why_silent
+from softmap_edge.servo.proof import marked
 
 if TYPE_CHECKING:
     from softmap_edge.servo.rig import Rig
@@ -33,13 +37,15 @@ class Member:
 @dataclass(frozen=True)
 class Seen:
     """The servo that answers in an expected place (None: none), and its faults, a sentence each: the finding and, after
-    "; ", the remedy. `passing` are registers that a start writes again."""
+    "; ", the remedy. `passing` are registers that a start writes again, `unfit` faults of what it senses now: they keep
+    a robot from being driven, and not from being homed."""
 
     id: int
     found: Found | None
     wrong: tuple[str, ...]
     passing: tuple[Need, ...] = ()
     values: Values = field(default_factory=dict)
+    unfit: tuple[str, ...] = ()
 
 
 def members(rig: Rig) -> list[Member]:
@@ -51,7 +57,11 @@ def members(rig: Rig) -> list[Member]:
         bench, plain = of_bench(rig, servo), usual(servo_model(servo.model))
         current = (bench("current_mA") or (plain.current_mA,))[0]
         slew = (bench("slew") or (plain.slew,))[0]
-        found.append(Member(id, number, Asked(float(current), float(slew), gains_of(rig.made, id))))
+        hot = min(float(one[0]) for one in (bench("hot"), (plain.hot,)) if one is not None and one[0] is not None)
+        sides = [(bench(side) or (None,))[0] for side in ("low", "high")]
+        window = None if servo.home is None else _window(servo.home, *sides)
+        asked = Asked(float(current), float(slew), gains_of(rig.made, id), hot, plain.voltage, window, servo.home)
+        found.append(Member(id, number, asked))
     return found
 
 
@@ -62,8 +72,17 @@ def members_of(servos: Sequence[Sequence[int]], limits: Any, gains: Sequence[Seq
     for (id, number), one, own in zip(servos, limits["servos"], known):
         model = numbered(number)
         most = one["current"] if model is None or one["current"] is not None else usual(model).current_mA
-        found.append(Member(id, number, Asked(float(most), float(one["slew"]), own)))
+        window = float(one["low"]), float(one["high"])
+        sensed = {"hot": one["hot"], "voltage": tuple(one["voltage"]), "window": window, "home": one["home"]}
+        found.append(Member(id, number, Asked(float(most), float(one["slew"]), own, **sensed)))
     return found
+
+
+def _window(home: int, low: float | None, high: float | None) -> tuple[float, float] | None:
+    """Return the window (ticks) that a bench gives a servo; a side that it leaves open is endless, None without one."""
+    if low is None and high is None:
+        return None
+    return home + (-math.inf if low is None else low), home + (math.inf if high is None else high)
 
 
 def examined(port: str, baud: int, asked: Sequence[Member], *, release: bool = False) -> list[Seen]:
@@ -92,7 +111,7 @@ def refusal(seen: Sequence[Seen]) -> str:
     for one in seen:
         by_remedy: dict[str, list[str]] = {}
         for text in one.wrong:
-            found, _, do = text.partition("; ")
+            found, do = parted(text)
             by_remedy.setdefault(do, []).append(found)
         parts = [", ".join(found) + (f"; {do}" if do else "") for do, found in by_remedy.items()]
         lines += [f"servo {one.id}{'' if part.startswith('answers') else ':'} {part}" for part in parts]
@@ -132,12 +151,14 @@ def _one(bus: _core.ServoBus, member: Member) -> Seen:
         return Seen(member.id, found, (wrong_model,))
     try:
         values = registers(bus, member.id)
-    except NoAnswer:
-        return Seen(member.id, found, (muted(bus, member.id),))
+    except NoAnswer as fault:
+        return Seen(member.id, found, (fault.why or muted(bus, member.id),))
     wrong = complaints(found, values, member.asked)
     if bus.counts()["unasked"] > before and shared(bus, member.id):
         wrong.insert(0, shares(bus, member.id))
-    return Seen(member.id, found, tuple(wrong), tuple(passing(found, values, member.asked)), values)
+    proved = member.asked.window is not None and marked(bus, member.id, member.asked.home)
+    sensed = tuple(unfit(found, values, member.asked, proved))
+    return Seen(member.id, found, tuple(wrong), tuple(passing(found, values, member.asked)), values, sensed)
 
 
 def _written(bus: _core.ServoBus, one: Seen, need: Need) -> str:

@@ -57,11 +57,18 @@ class Found:
 @dataclass(frozen=True)
 class Asked:
     """The requirements of a rig for a servo: the largest current of its cap (mA), its fastest turn (ticks/s), and its
-    gains at set-up (in the order of GAINS; empty if the rig does not hold them)."""
+    gains at set-up (in the order of GAINS; empty if the rig does not hold them).
+
+    `hot` (°C), `voltage` (V) and `window` (ticks) bound what it senses when a start may be allowed; None if they are
+    not known. `home` (ticks) is that of the window."""
 
     current_mA: float
     slew: float
     gains: tuple[int, ...] = ()
+    hot: float | None = None
+    voltage: tuple[float, float] | None = None
+    window: tuple[float, float] | None = None
+    home: int | None = None
 
 
 @dataclass(frozen=True)
@@ -80,10 +87,11 @@ class Need:
 
 def usual(model: Entry) -> Asked:
     """Return the requirements for a servo without a rig."""
-    from softmap_edge.servo.limits import CURRENT, SLEW, slowed, strongest  # the loop's process starts without numpy
+    from softmap_edge.servo.limits import COOL, CURRENT, SLEW, slowed, strongest  # the loop starts without numpy
 
     most = CURRENT * strongest(model)
-    return Asked(most, min(SLEW, slowed(model, most)))
+    hot = float(model["temperature_limit_C"] - COOL[1])
+    return Asked(most, min(SLEW, slowed(model, most)), hot=hot, voltage=tuple(model["voltage_V"]))
 
 
 def most(model: Entry) -> Asked:

@@ -9,17 +9,16 @@ end. Pinned by tests/test_controller.py and tests/test_bad_input.py.
 
 from __future__ import annotations
 
-import contextlib
 import json
 import os
 import sys
 from typing import Any
 
 from softmap_edge import _core
-from softmap_edge.errors import ServoError, SoftmapError
+from softmap_edge.errors import SoftmapError
 from softmap_edge.servo.bus import opened
 from softmap_edge.servo.examined import members_of, started
-from softmap_edge.servo.proof import check_proved, set_mark
+from softmap_edge.servo.proof import check_proved, forget
 from softmap_edge.servo.session_mark import note_released
 from softmap_edge.signed_udp import read_key
 
@@ -42,7 +41,7 @@ def main() -> int:
             host, port, key_file, timeout = setup["heartbeat"]
             setup["heartbeat"] = host, port, read_key(key_file), timeout
         if _core.control_loop(orders, reports, **setup):
-            _forget_home(setup["port"], setup["baud"], setup["servos"])
+            forget(setup["port"], setup["baud"], [id for id, _ in setup["servos"]])  # a fault made home unknown
         note_released(session)
     except SoftmapError as fault:
         _report(told, error=str(fault))
@@ -57,14 +56,6 @@ def _report(pipe: int, **entries: Any) -> None:
 def _check_home(port: str, baud: int, servos: list[list[int]], homes: list[int | None]) -> None:
     with opened(port, baud) as bus:
         check_proved(bus, [(id, home) for (id, _), home in zip(servos, homes)])
-
-
-def _forget_home(port: str, baud: int, servos: list[list[int]]) -> None:
-    """Take the marks away: a fault has made home unknown, and the next start must not believe them."""
-    with contextlib.suppress(ServoError), opened(port, baud, shared=True) as bus:  # a port that is gone
-        for id, _ in servos:
-            with contextlib.suppress(ServoError):  # one that does not hear; those of the others are gone
-                set_mark(bus, id, None)
 
 
 if __name__ == "__main__":

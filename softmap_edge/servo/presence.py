@@ -5,6 +5,7 @@ Nothing is written to the bus. Pinned by tests/test_presence.py.
 
 from __future__ import annotations
 
+import shlex
 import time
 from collections.abc import Callable, Collection
 from dataclasses import dataclass
@@ -22,10 +23,11 @@ ALONE = "connect one servo at a time and give each an id of its own"
 
 @dataclass(frozen=True)
 class Heard:
-    """The servos that answer at a port at one rate, and a sentence for each fault."""
+    """The servos that answer at a port at one rate, a sentence for each fault, and the ids that answer pings only."""
 
     found: tuple[Found, ...]
     remarks: tuple[str, ...]
+    mute: tuple[int, ...] = ()
 
 
 def listened(port: str, baud: int) -> Heard:
@@ -41,10 +43,9 @@ def listened(port: str, baud: int) -> Heard:
         remarks = [shares(bus, id) for id in shared]
         if unreadable and not shared:
             remarks.append(f"something answers at {baud} baud and cannot be read: {_unreadable(bus)}")
-        remarks += [
-            f"servo {id} {pings_only(port, baud, id)}" for id in ids if id not in shared and _silent_reads(bus, id)
-        ]
-    return Heard(tuple(found), tuple(remarks))
+        mute = tuple(id for id in ids if id not in shared and _silent_reads(bus, id))
+        remarks += [f"servo {id} {pings_only(port, baud, id)}" for id in mute]
+    return Heard(tuple(found), tuple(remarks), mute)
 
 
 def why_silent(port: str, baud: int, id: int, listed: Collection[int] = ()) -> str:
@@ -75,7 +76,8 @@ def why_silent(port: str, baud: int, id: int, listed: Collection[int] = ()) -> s
     if strangers:
         run = setup_command(port, baud, strangers[0], f" --new-id {id} --rig FILE")
         return f"no answer, but id {other} answers, which the rig does not list; if it got another id, run {run}"
-    return f"no answer at {port}, {baud} baud; check power and wiring, `softmap servo scan` lists who answers"
+    scan = f"`softmap servo scan --port {shlex.quote(port)}`"
+    return f"no answer at {port}, {baud} baud; check power and wiring, {scan} lists who answers"
 
 
 def muted(bus: _core.ServoBus, id: int) -> str:

@@ -11,11 +11,13 @@ configuration, register 60) is refused: its mark would prove nothing. Pinned by 
 from __future__ import annotations
 
 import zlib
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from contextlib import suppress
 
 from softmap_edge import _core
 from softmap_edge.errors import ServoError
-from softmap_edge.servo.bus import heard, patiently
+from softmap_edge.servo.bus import heard, opened, patiently
+from softmap_edge.servo.known_state import setup_command
 
 MARK, MAPPABLE, DIGITS = 168, 120, 8  # first register; lowest address that it may hold; registers of four bits
 SIZE = 2 * DIGITS  # bytes
@@ -38,6 +40,14 @@ def set_mark(bus: _core.ServoBus, id: int, home: int | None) -> None:
     patiently(bus.write, id, MARK, wanted)
     if heard(bus, id, MARK, SIZE) != wanted:
         raise ServoError(f"servo {id} does not keep the mark of its home (registers {MARK} on); nothing can prove it")
+
+
+def forget(port: str, baud: int, ids: Iterable[int]) -> None:
+    """Take the marks of servos away, so that their home has to be proved again; one that does not answer is left."""
+    with suppress(ServoError), opened(port, baud, shared=True) as bus:  # a port that is gone
+        for id in ids:
+            with suppress(ServoError):
+                set_mark(bus, id, None)
 
 
 def marked(bus: _core.ServoBus, id: int, home: int | None) -> bool:
@@ -63,7 +73,7 @@ def check_proved(bus: _core.ServoBus, servos: Sequence[tuple[int, int | None]]) 
         if restores(bus, id):
             raise ServoError(
                 f"servo {id} restores its memory at power-up (startup configuration), so that no proof of its home can "
-                f"be believed; run `softmap servo setup`, then {AGAIN}"
+                f"be believed; run {setup_command(bus.port, bus.baud, id)}, then {AGAIN}"
             )
         if not marked(bus, id, home):
             raise ServoError(

@@ -5,6 +5,7 @@ A bundle is somebody else's file; what belongs to a bench never travels with it.
 
 from __future__ import annotations
 
+import shlex
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -47,8 +48,8 @@ class RigServo:
 @dataclass(frozen=True)
 class Rig:
     """A port, its baud rate, and the servos in the order of the commands; `ceiling` is what all of them are allowed at
-    most, `emergency` the stops that the loop asks, `made` says how each thing was found. `time` is that of the servos;
-    no file holds it.
+    most, `emergency` the stops that the loop asks, `made` says how each thing was found. `time` is that of the servos,
+    `file` the one that it was read from; no file holds them.
 
     Raises:
         ServoError: two servos of one id, an unknown model, none or too many servos.
@@ -61,6 +62,7 @@ class Rig:
     emergency: Emergency = Emergency()
     made: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     time: Clock = field(default=REAL_TIME, compare=False, repr=False)
+    file: str | None = field(default=None, compare=False, repr=False)
 
     def __post_init__(self) -> None:
         ids = [servo.id for servo in self.servos]
@@ -156,9 +158,10 @@ def read_rig(path: str | Path) -> Rig:
         made = table.table("made")
         found = {name: _found(made.table(name)) for name in made.values}
         table.done()
-        return Rig(port, baud, tuple(servos), ceiling, emergency, found)
+        return Rig(port, baud, tuple(servos), ceiling, emergency, found, file=str(file))
     except OSError as fault:
-        raise ServoError(f"{file}: {fault.strerror}; make it with `softmap servo setup`") from None
+        make = f"make it with `softmap servo setup --rig {shlex.quote(str(file))}`"
+        raise ServoError(f"{file}: {fault.strerror}; {make}") from None
     except ServoError:
         raise
     except SoftmapError as fault:

@@ -58,7 +58,9 @@ def begin(port: str, record: Path | None, loop: int) -> Path | None:
         "port": port,
         "program": Path(sys.argv[0] or "python").name,
         "pid": os.getpid(),
+        "pid_began": _began(os.getpid()),
         "loop_pid": loop,
+        "loop_began": _began(loop),
         "boot": _boot(),
         "begun": time.time(),
         "record": None if record is None else str(record.absolute()),
@@ -91,9 +93,9 @@ def last_session(file: Path) -> str | None:
         about, released = lines[0], any(line.get("loop") == RELEASED for line in lines[1:])
         begun = time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(float(about["begun"])))
         restarted = about["boot"] != _boot()
-        if not restarted and _runs(int(about["pid"])):
+        if not restarted and _runs(int(about["pid"]), about.get("pid_began")):
             return None
-        loop_runs = not restarted and _runs(int(about["loop_pid"]))
+        loop_runs = not restarted and _runs(int(about["loop_pid"]), about.get("loop_began"))
         program, record = _printable(about["program"]), about["record"]
     except (OSError, ValueError, KeyError, TypeError, IndexError, AttributeError, OverflowError, RecursionError):
         return None
@@ -113,8 +115,14 @@ def _printable(name: Any) -> str:
     return "".join(c if c.isprintable() else "?" for c in str(name))[-_NAME:]
 
 
-def _runs(pid: int) -> bool:
-    """Return whether a process runs; this one, whose session was not ended, counts as well."""
+def _runs(pid: int, began: object = None) -> bool:
+    """Return whether the process runs that had this id and began then; this one counts as well.
+
+    Ids are used again: another process of the same id began at another time. A mark without that time counts by its id.
+    """
+    now = _began(pid)
+    if began is not None and now is not None and began != now:
+        return False
     try:
         os.kill(pid, 0)
     except ProcessLookupError:
@@ -122,6 +130,15 @@ def _runs(pid: int) -> bool:
     except PermissionError:
         return True
     return True
+
+
+def _began(pid: int) -> int | None:
+    """Return when a process began, clock ticks after the boot (field 22 of its stat); None if it is not known."""
+    try:
+        text = Path(f"/proc/{pid}/stat").read_text("ascii", "replace")
+        return int(text.rpartition(")")[2].split()[19])  # its name, in brackets, may hold anything
+    except (OSError, ValueError, IndexError):
+        return None
 
 
 def _boot() -> str:

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.errors import RecordingBroken, ServoError
+from softmap_edge.hints import filled
 from softmap_edge.servo import words
 from softmap_edge.servo.bus import kept_torque, opened
 from softmap_edge.servo.ending import kept_words
@@ -37,6 +38,9 @@ class Watched:
     """What is heard of a loop, and who releases its servos when it can do so no more."""
 
     rig: Rig
+    limits: dict[str, Any]
+    at_terminal: bool = False  # whether a command of the CLI drives: its user has no methods to call
+    _drove_at: float | None
     _last: dict[str, Any]
     _end: dict[str, Any]
     _heard: threading.Condition
@@ -105,6 +109,23 @@ class Watched:
     def bus(self) -> dict[str, int]:
         """Counts of answers on the bus so far: `asked` for, `lost`, `damaged` and `unasked`."""
         return {name: int(self._last.get(name, 0)) for name in words.BUS}
+
+    def _stopped(self) -> str:
+        """Return state, cause and what to do, for who drives: a command of the CLI, or a program."""
+        what = self._silence() or words.where(self._last, self.limits)
+        do = words.onward(self._last, terminal=self.at_terminal, bench=self.rig.file is not None)
+        return self._named(f"the robot is {what}; {do}")
+
+    def _named(self, said: str) -> str:
+        """Return a message whose commands name the file of the rig, if it came from one."""
+        return filled(said, self.rig.file)
+
+    def _silence(self) -> str | None:
+        """Return state and cause where the guard let go because this program sent no target: that is the key."""
+        silent = 0.0 if self._drove_at is None else self.rig.time.now() - self._drove_at
+        if self._last.get("cause") not in ("deadman", "stale") or silent <= float(self.limits["stale"]):
+            return None
+        return f"in state {words.state(self._last)} (this program sent no target for {silent:.1f} s)"
 
     def _watch(self, pipe: int, process: subprocess.Popen[bytes]) -> None:
         """Take the loop's reports until it ends; release its servos if it dies or freezes under torque."""

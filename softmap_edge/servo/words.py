@@ -5,8 +5,11 @@ Whatever shows them to somebody takes them from here. Pinned by tests/test_servo
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any, Literal
 
+from softmap_edge.hints import parted
+from softmap_edge.servo.conditions import COOL_DOWN, POWER, denied_for
 from softmap_edge.servo.known_state import hardware
 
 Level = Literal["off", "ready", "driving", "holding", "fault"]
@@ -53,7 +56,7 @@ DENIED = {
     "from": "not allowed in state {}",
     "trouble": "something is wrong: {}",
     "torque": "a servo has torque; `softmap servo off` releases it",
-    "outside": "a servo stands outside its window; home it again",
+    "outside": "a servo stands outside its window; turn it back with `softmap move`, or home the robot again",
     "undriven": "no fresh target, or the deadman is not pressed",
 }
 STATES = {
@@ -69,6 +72,19 @@ STATES = {
 }
 BUS = ("asked", "lost", "damaged", "unasked")  # counts of answers in a report
 MANY_LOST = 0.01  # share of lost answers that is reported
+REMEDIES = {  # of causes; what is left out needs none
+    "late": "check the cables of the bus, and close what else loads this computer",
+    "overload": "find what holds the finger; `softmap servo pull --rig FILE` measures the current that it needs",
+    "voltage": POWER,
+    "hot": COOL_DOWN,
+    "emergency": "release the emergency stop",
+    "silent": "check its power and its cables",
+    "following": "find what holds the finger, or the coupling that slips",
+    "lost": "check the ids of the servos, and every coupling",
+    "dropped": "check its power, and that no other program uses the port",
+    "tripped": "close other programs that use the port, and check the cables",
+}
+SENSED = ("hot", "voltage")  # causes whose value and limit a report shows
 LOSES_HOME = ("silent", "hardware", "following", "lost", "dropped", "tripped")  # causes, under torque
 QUIET = ("engaged", "ready")  # states in which the cause is that of what was before
 
@@ -84,10 +100,12 @@ def state(report: dict[str, Any]) -> str:
     return NAMES.get(name, name)
 
 
-def cause(report: dict[str, Any]) -> str:
-    """Return why it is in that state, empty where nothing is told."""
+def cause(report: dict[str, Any], limits: Mapping[str, Any] | None = None) -> str:
+    """Return why it is in that state, empty where nothing is told; by `limits` with the value and its limit."""
     name, servo = str(report.get("cause", "none")), report.get("servo")
     if name == "hardware" and (said := errors(report)):
+        return said
+    if name in SENSED and (said := parted(denied_for(name, report, limits))[0]):
         return said
     why = CAUSES.get(name, name)
     if isinstance(servo, int) and why.startswith("a servo"):
@@ -114,28 +132,58 @@ def bus(report: dict[str, Any]) -> str:
     return f"{', '.join(said)}; {why}" if said else ""
 
 
-def where(report: dict[str, Any]) -> str:
+def where(report: dict[str, Any], limits: Mapping[str, Any] | None = None) -> str:
     """Return state and cause as part of a sentence: `in state slackening (no target came in time)`."""
-    why = cause(report)
+    why = cause(report, limits)
     return f"in state {state(report)}" + (f" ({why})" if why else "")
 
 
-def onward(report: dict[str, Any]) -> str:
-    """Return what leads a program on from a state that follows no commands."""
+def onward(report: dict[str, Any], *, terminal: bool = False, bench: bool = True) -> str:
+    """Return what to do in a state that follows no commands.
+
+    Args:
+        report: the newest of the loop.
+        terminal: whether its reader typed a command; else they wrote a program, and the methods are named.
+        bench: whether the robot has a rig file; one that a command emulates is homed again by each start.
+    """
+    return _typed(report, bench) if terminal else _called(report)
+
+
+def _typed(report: dict[str, Any], bench: bool) -> str:
+    """Return what to do at the command line, where the same command is run again."""
+    home = "home the robot again (`softmap servo home --rig FILE`)" if bench and _unhomed(report) else ""
+    steps = [_remedy(report), home]
+    return ", then ".join([*filter(None, steps), "run the same command again"])
+
+
+def _called(report: dict[str, Any]) -> str:
+    """Return what a program does: the remedy, and the methods of a Controller that lead on."""
     state, why = report.get("state", "off"), report.get("cause")
-    if state == "fault" and why == "emergency":
-        return "release it, see that all is well, then acknowledge it or begin again"
     if state == "fault" and why == "loop":
-        return "begin again"
-    if state == "fault" and why not in LOSES_HOME:
-        return "mend that, then acknowledge it or begin again"
-    if why == "hardware" and state in ("fault", "off", "connected"):
-        return f"{restarts(report)}, then home the robot again (`softmap servo home`)"
-    if state in ("fault", "off", "connected"):
-        return "mend that, then home the robot again (`softmap servo home`)"
+        return "start another Controller"
+    if _unhomed(report):
+        again = "home the robot again (`softmap servo home --rig FILE`), and start another Controller"
+        return ", then ".join(filter(None, [_remedy(report), again]))
+    acknowledge = 'call request("acknowledge"), request("arm") and engage(), or start another Controller'
+    if state == "fault":
+        return ", then ".join(filter(None, [_remedy(report), acknowledge]))
+    if state == "safe_stop" and _remedy(report):
+        return f"torque goes off; {_remedy(report)}, then {acknowledge}"
     if state == "safe_stop":
-        return "it slackens; once it is ready, or that is mended and acknowledged, engage it"
-    return "arm and engage it first" if state == "homed" else "engage it first"
+        return "wait until it is ready, then call engage()"
+    return 'call request("arm") and engage() first' if state == "homed" else "call engage() first"
+
+
+def _remedy(report: dict[str, Any]) -> str:
+    """Return what removes the cause, "" if nothing has to."""
+    why = str(report.get("cause"))
+    return restarts(report) if why == "hardware" else REMEDIES.get(why, "")
+
+
+def _unhomed(report: dict[str, Any]) -> bool:
+    """Return whether home has to be proved again."""
+    state = report.get("state", "off")
+    return state in ("off", "connected") or (state == "fault" and report.get("cause") in LOSES_HOME)
 
 
 def restarts(report: dict[str, Any]) -> str:
@@ -144,10 +192,13 @@ def restarts(report: dict[str, Any]) -> str:
     return f"find the cause, restart it (`softmap servo reboot --rig FILE --id {ids[0]}`, or its supply off and on)"
 
 
-def denied(said: str, report: dict[str, Any] | None = None) -> str:
+def denied(said: str, report: dict[str, Any] | None = None, limits: Mapping[str, Any] | None = None) -> str:
     """Return why a request was denied, of what the loop's report says: `from(ready)`, `trouble(late)`, `torque`, …"""
     kind, _, of = said.rstrip(")").partition("(")
+    if named := denied_for(of or kind, report or {}, limits):
+        return named
     why = NAMES.get(of) or CAUSES.get(of) or of
+    why += f"; {REMEDIES[of]}" if limits is not None and of in REMEDIES else ""
     if of == "hardware" and (named := errors(report or {})):
         why = f"{named}; {restarts(report or {})}"
     return DENIED[kind].format(why) if kind in DENIED else said

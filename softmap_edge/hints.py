@@ -1,0 +1,74 @@
+"""Remedies in messages: take finding and remedy apart, and complete the commands that a message names.
+
+A message is the finding and, after "; ", the remedy. A "; " in brackets or in backquotes belongs to the text there.
+Code that does not know the user's files writes `--rig FILE`, or leaves `--rig` out; whoever shows the message fills it
+in. Pinned by tests/test_hints.py.
+"""
+
+from __future__ import annotations
+
+import re
+import shlex
+from collections.abc import Mapping
+
+COMMAND = re.compile(r"`softmap\s([^`]+)`")
+OPENS, CLOSES = "([{", ")]}"
+COMPLETES = {
+    "rig": ("servo setup", "servo home", "servo pull", "servo limits", "servo off", "servo reboot", "servo calibrate",
+            "doctor", "move"),
+    "bundle": ("servo pull", "servo limits"),
+}  # fmt: skip
+
+
+def parted(said: object) -> tuple[str, str]:
+    """Return finding and remedy of a message; the remedy is "" if it names none."""
+    text = str(said)
+    ends = _ends(text)
+    return (text, "") if ends is None else (text[:ends], text[ends + 2 :])
+
+
+def _ends(text: str) -> int | None:
+    """Return where the finding ends: the first "; " outside brackets and backquotes, None without one.
+
+    Brackets that never close (a file's name may hold one) bracket nothing.
+    """
+    depth, quoted = 0, False
+    for k, letter in enumerate(text):
+        quoted ^= letter == "`"
+        depth += 0 if quoted else (letter in OPENS) - (letter in CLOSES and depth > 0)
+        if not depth and not quoted and text.startswith("; ", k):
+            return k
+    return text.index("; ") if (depth or quoted) and "; " in text else None
+
+
+def filled(text: str, rig: str | None, bundle: str | None = None) -> str:
+    """Return a message whose commands name the files that the user gave; `--bundle DIR` stands for one not given.
+
+    Args:
+        text: the message; its commands stand in backquotes.
+        rig: the file of the rig, None if none was given.
+        bundle: the folder of the bundle, None if none was given.
+    """
+    if rig is None and bundle is None:
+        return text
+    given = {"bundle": "DIR" if bundle is None else shlex.quote(bundle)}
+    given |= {} if rig is None else {"rig": shlex.quote(rig)}
+    return COMMAND.sub(lambda found: "`softmap " + _complete(found[1], given) + "`", text)
+
+
+def _complete(command: str, given: Mapping[str, str]) -> str:
+    for name in ("rig", "bundle"):
+        option, value = f"--{name}", given.get(name)
+        if value is None:
+            continue
+        if option in command.split():
+            command = command.replace(f"{option} FILE", f"{option} {value}")
+        elif command.startswith(tuple(COMPLETES[name])) and not (name == "rig" and command.startswith("move --sim")):
+            command += f" {option} {value}"
+    return command
+
+
+def with_files(text: str, args: object) -> str:
+    """Return a message with the rig and the bundle that the arguments of a command hold."""
+    rig, bundle = (getattr(args, name, None) for name in ("rig", "bundle"))
+    return filled(text, rig if isinstance(rig, str) else None, bundle if isinstance(bundle, str) else None)
