@@ -71,6 +71,7 @@ class Sheet:
     indexed: bool = False  # brackets at the end of a name hold the number or name of an element
     episode: int | None = None  # of a dataset
     clocks: dict[str, str] = field(default_factory=dict)  # columns of dates or times, in s, and their form
+    head_line: int | None = None  # the number of the line of a text log that names the columns
 
     def column(self, name: str) -> Array:
         """Return the numbers of a column."""
@@ -170,7 +171,7 @@ def _sheet(part: Part, columns: Columns, which: list[int]) -> Sheet:
     file = pattern_of([part])
     return Sheet(
         part.given, None, names, dict(columns.units), numbers, texts, header, bare, file=file, indexed=arrays,
-        episode=episode, clocks=clocks,
+        episode=episode, clocks=clocks, head_line=getattr(columns, "head_line", None),
     )  # fmt: skip
 
 

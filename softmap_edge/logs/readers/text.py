@@ -50,6 +50,7 @@ class TextColumns:
     stop: int | None = None  # the line number after the last row; None: the end of the file
     clocks: dict[int, TimeText] = field(default_factory=dict)  # columns of dates or times, read as s
     words: Words = field(default_factory=Words)  # of the last reading
+    head_line: int | None = None  # the number of the line that names the columns
 
     def texts(self, rows: int) -> dict[str, list[str]]:
         """Return the columns that hold text in the first rows, with that text; times are no text."""
@@ -307,6 +308,8 @@ def open_text(
         path, names, skip_rows + 1 + first, table.delimiter, decimal or ".", skip_last, notes=tuple(notes), header=named
     )
     columns = replace(columns, units=table.units if named else {}, fewest=min(table.fewest, len(names)))
+    if named and table.header is not None:
+        columns = replace(columns, head_line=skip_rows + 1 + table.header)
     if decimal is None and _decimal_commas(columns, start[first : first + 20]):
         columns = replace(columns, decimal=",", notes=(*columns.notes, "numbers have decimal commas"))
     return columns.with_clocks(order)
