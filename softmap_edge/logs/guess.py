@@ -29,6 +29,7 @@ from softmap_edge.logs.guess_columns import (
     roles_of,
     unit_in_name,
 )
+from softmap_edge.logs.guess_parts import joined_parts
 from softmap_edge.logs.guess_text import Found, mapping_text, seconds
 from softmap_edge.logs.guess_time import RATE_HZ, time_of
 from softmap_edge.logs.importer import import_logs
@@ -76,7 +77,8 @@ def guess_mapping(paths: Sequence[str | os.PathLike[str]]) -> Guess:
         RunError: a file cannot be read, or nothing in it looks like commands or markers.
     """
     files = [Path(path) for path in paths]
-    sheets, found = read_sheets(files), Found()
+    found = Found()
+    sheets, found.assumed, apart = joined_parts(read_sheets(files))
     rows = max((len(sheet.numbers) for sheet in sheets), default=0)
     if rows < 2:
         names = ", ".join(path.name for path in files)
@@ -108,7 +110,7 @@ def guess_mapping(paths: Sequence[str | os.PathLike[str]]) -> Guess:
     head = [f"# Proposed from the header and the ranges of {', '.join(path.name for path in files)}; read every line."]
     head += [f"# ASSUMED  {line}" for line in found.assumed] + [f"# UNKNOWN  {line}" for line in found.unknown]
     text = "\n".join([*map(_one_line, head), text])
-    return Guess(text, tuple(found.assumed), tuple(found.unknown), _tried(files, text))
+    return Guess(text, tuple(found.assumed), tuple(found.unknown), (*apart, *_tried(files, text)))
 
 
 def _nothing_found(sheets: list[Sheet]) -> RunError:

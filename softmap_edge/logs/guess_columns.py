@@ -72,6 +72,8 @@ class Sheet:
     episode: int | None = None  # of a dataset
     clocks: dict[str, str] = field(default_factory=dict)  # columns of dates or times, in s, and their form
     head_line: int | None = None  # the number of the line of a text log that names the columns
+    parts: int = 1  # files of the log
+    more: tuple[str, ...] = ()  # the `file` of further parts that no common pattern names
 
     def column(self, name: str) -> Array:
         """Return the numbers of a column."""

@@ -123,10 +123,7 @@ def read_log(path: Path, log: Log, columns: Columns | None = None) -> LogTable:
     """
     columns = open_log(path, log) if columns is None else columns
     names = columns.names
-    wanted: list[Column] = [*log.clock.columns]
-    wanted += [column for quantity in log.rows.values() for column in quantity.columns]
-    wanted += [column for points in (log.markers, log.base) if points is not None for column in points.columns]
-    wanted += [] if log.output is None else log.output.columns
+    wanted = columns_named(log)
     _all_there(path, columns, [*wanted, *([] if log.block is None else [log.block])], log.delimiter)
     places = sorted({place(path, names, column) for column in wanted})
     cells = columns.read(places, None if log.block is None else place(path, names, log.block))
@@ -137,11 +134,19 @@ def read_log(path: Path, log: Log, columns: Columns | None = None) -> LogTable:
     cells = _finite(_cut(path, cells, log), places, names)
     _within_reason(path, columns.where, cells, places, names)
     cells, aside = _set_aside(columns.where, cells, [places.index(clock) for clock in clocks])
-    times = times_of(path, columns.where, cells, _raw_times(path, columns, cells, places, log.clock), log.clock)
+    times = times_of(path, columns.where, cells, raw_times(path, columns, cells, places, log.clock), log.clock)
     values = dict(zip(places, times.cells.numbers.T))
     doubts = (*times.doubts, *_assumed(log.clock, len(times.t)))
     notes = (*cells.notes, *aside, *times.notes)
     return LogTable(path, times.t, names, columns.units, values, times.cells.labels, notes, doubts)
+
+
+def columns_named(log: Log) -> list[Column]:
+    """Return the columns of numbers that a log of a mapping names, time first."""
+    found: list[Column] = [*log.clock.columns]
+    found += [column for quantity in log.rows.values() for column in quantity.columns]
+    found += [column for points in (log.markers, log.base) if points is not None for column in points.columns]
+    return [*found, *([] if log.output is None else log.output.columns)]
 
 
 def _cut(path: Path, cells: Cells, log: Log) -> Cells:
@@ -267,8 +272,19 @@ def _set_aside(where: str, cells: Cells, clocks: list[int]) -> tuple[Cells, list
     return kept(cells, ~bare), [note]
 
 
-def _raw_times(path: Path, columns: Columns, cells: Cells, places: list[int], clock: Clock) -> Array:
-    """The times (rows,) s as the log has them; NaN where it has none."""
+def raw_times(path: Path, columns: Columns, cells: Cells, places: list[int], clock: Clock) -> Array:
+    """Return the times (rows,) s as the log has them; NaN where it has none.
+
+    Args:
+        path: the log, for messages.
+        columns: the log, opened.
+        cells: those of its columns `places`, which hold the columns of time.
+        places: positions of columns.
+        clock: the time that the mapping declares.
+
+    Raises:
+        RunError: there is no such column, or it holds dates where numbers are declared.
+    """
     if clock.column is None:
         return np.arange(len(cells.numbers), dtype=float) * clock.seconds + clock.offset_s
     texts: dict[int, Any] = getattr(columns, "clocks", {})
