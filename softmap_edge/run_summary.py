@@ -20,6 +20,7 @@ from softmap_edge.diagnosis.lost import REMEDY, without_lost
 from softmap_edge.registration.clouds import with_depth
 from softmap_edge.report.advice_text import advice_lines
 from softmap_edge.report.numbers import folded
+from softmap_edge.rollover import roll_overs_of
 from softmap_edge.run import BASE_MARKERS, OURS, Run, known
 from softmap_edge.run_contents import command_ranges, rounded
 from softmap_edge.ticks import converted
@@ -248,6 +249,7 @@ def _warnings(run: Run) -> list[str]:
             notes.append(f"{name} has a gap of {step.max():.3g} s after row {row} (usual step {np.median(step):.3g} s)")
     if run.visible is not None and run.visible.size and run.visible.mean() < 0.5:
         notes.append(f"only {100 * run.visible.mean():.0f} % of the points are visible")
+    notes += roll_overs_of(run)
     away = _far_away(run)
     if away is not None:
         notes.append(away)

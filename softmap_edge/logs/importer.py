@@ -30,6 +30,7 @@ from softmap_edge.logs.mapping import ANGLE, LENGTH, Mapping, Quantity, read_map
 from softmap_edge.logs.plausible import doubts_of_both, doubts_of_rest, doubts_of_rows, doubts_of_time
 from softmap_edge.logs.sources import assign, named, open_parts, parts_of
 from softmap_edge.logs.table import LogTable, read_log
+from softmap_edge.logs.unwrap import counted_on
 from softmap_edge.mcap_records import Damage
 from softmap_edge.plane import AXES, PLANE
 from softmap_edge.run import NOT_SEEN, SPOOL_RADIUS, Run
@@ -166,7 +167,7 @@ def _command_rows(
         t = tables[k].t[given]
     for k, log in enumerate(mapping.logs):
         for name, quantity in log.rows.items():
-            own, values = _filled(name, tables[k], tables[k].numbers(quantity.columns))
+            own, values = _filled(name, tables[k], counted_on(name, tables[k], quantity, notes, doubts))
             doubts += doubts_of_rows(name, values, quantity)
             values = _convert(name, values, quantity, mapping)
             if quantity.held != "keep":
