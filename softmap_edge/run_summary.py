@@ -21,7 +21,7 @@ from softmap_edge.registration.clouds import with_depth
 from softmap_edge.report.advice_text import advice_lines
 from softmap_edge.report.numbers import folded
 from softmap_edge.rollover import roll_overs_of
-from softmap_edge.run import BASE_MARKERS, OURS, Run, known
+from softmap_edge.run import BASE_MARKERS, NO_COMMANDS, OURS, Run, known
 from softmap_edge.run_contents import command_ranges, rounded
 from softmap_edge.ticks import converted
 from softmap_edge.views import laid
@@ -253,6 +253,7 @@ def _warnings(run: Run) -> list[str]:
     if run.visible is not None and run.visible.size and run.visible.mean() < 0.5:
         notes.append(f"only {100 * run.visible.mean():.0f} % of the points are visible")
     notes += roll_overs_of(run)
+    notes += [f"0 channels: {NO_COMMANDS}"] if run.channels == 0 else []
     away = _far_away(run)
     if away is not None:
         notes.append(away)

@@ -33,7 +33,7 @@ from softmap_edge.logs.table import LogTable, read_log
 from softmap_edge.logs.unwrap import counted_on
 from softmap_edge.mcap_records import Damage
 from softmap_edge.plane import AXES, PLANE
-from softmap_edge.run import NOT_SEEN, SPOOL_RADIUS, Run
+from softmap_edge.run import NO_COMMANDS, NOT_SEEN, SPOOL_RADIUS, Run
 from softmap_edge.time_digits import differing
 
 __all__ = ["Imported", "Mapping", "import_logs", "read_mapping", "unhold"]
@@ -81,6 +81,7 @@ def import_logs(paths: Sequence[str | os.PathLike[str]], mapping: Mapping) -> Im
     t_seen = seen(tables, mapping, t, fields, notes, doubts)
     if t is None and t_seen is None:
         raise RunError(f"{mapping.path}: names neither commands nor markers nor outputs; give at least one of them")
+    doubts += [f"command: no column; {NO_COMMANDS}"] if t is None else []
     t = t_seen if t is None else t
     assert t is not None
     del tables  # of a long log, half of the memory
