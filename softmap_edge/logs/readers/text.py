@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from softmap_edge.errors import RunError
 from softmap_edge.logs.readers.cells import find_delimiter, is_number, is_plain, split
 from softmap_edge.logs.readers.columns import Array, Cells
+from softmap_edge.logs.readers.encoding import encoding_of
 from softmap_edge.logs.readers.header import LINES, Table, find_table, widths_of
 from softmap_edge.logs.readers.words import EMPTY, Words, is_text, is_word
 from softmap_edge.logs.time_text import TimeText, TimeTextError, time_text_of
@@ -303,6 +304,7 @@ def open_text(
     notes += ["the line below the header is units"] if table.units and header is not False else []
     if table.fewest < table.width:
         notes.append(f"rows of {table.fewest} to {table.width - 1} cells, as there are many, end in empty cells")
+    notes += [note] if (note := encoding_of(path)[1]) is not None else []
     named = header is not False and table.names is not None
     columns = TextColumns(
         path, names, skip_rows + 1 + first, table.delimiter, decimal or ".", skip_last, notes=tuple(notes), header=named
@@ -383,7 +385,7 @@ def _blocks(path: Path, first: int, stop: int | None = None) -> Iterator[tuple[i
             raise RunError(f"{path}: {'a folder' if path.is_dir() else 'cannot be read'}; give the path of a log")
         if path.stat().st_size > LIMIT:
             raise RunError(f"{path}: {path.stat().st_size} bytes, at most {LIMIT} are read; split the log")
-        with path.open(encoding="utf-8-sig") as file:
+        with path.open(encoding=encoding_of(path)[0]) as file:
             while text := file.read(_BLOCK):
                 if "\0" in text:
                     raise RunError(f"{path}: holds zero bytes; the file is damaged or not a CSV log")
