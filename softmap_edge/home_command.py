@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+_STAYS = 10  # rows
+_NEAR = 0.02  # of the range: two commands nearer than this are one place
 FAR = 0.5  # of its range: a command that stays farther from 0 is not counted from home
 
 
@@ -27,3 +29,16 @@ def far_from_home(reach: ArrayLike) -> NDArray[np.bool_]:
     """Return which channels (C,) are not counted from home: their range, of shape (C, 2), lies far from 0."""
     low, high = np.asarray(reach, float).reshape(-1, 2).T
     return np.asarray((np.maximum(low, -high) > FAR * (high - low)) & (high > low))
+
+
+def rest_command(rows: ArrayLike) -> NDArray[np.float64]:
+    """Return the command (C,) at which a robot probably rests, of finite commands (T, C).
+
+    It is that of `home_command`. Of channels whose range lies far from 0 it is the first command, if the run stays
+    there, or ends there.
+    """
+    rows = np.asarray(rows, float)
+    reach = np.stack([rows.min(axis=0), rows.max(axis=0)], axis=1)
+    home, near = home_command(reach), _NEAR * np.ptp(reach, axis=1)
+    stays = (np.abs(rows[:_STAYS] - rows[0]) <= near).all() or (np.abs(rows[-1] - rows[0]) <= near).all()
+    return np.asarray(np.where(far_from_home(reach), rows[0], home)) if stays else home

@@ -35,6 +35,10 @@ ROLL_SEEN = "roll_seen"  # a field: whether a run shows what the body does about
 SPOOL_RADIUS = "spool_radius_mm"  # the field in which an import keeps the radius of the spools of its mapping
 NOT_SEEN = "not_seen"  # the field that marks the search for places that stand for "not seen" as done or switched off
 PIECES = ("piece_origin", "piece_row", "piece_frame", "piece_shift_s")  # fields of a run that was cut or joined
+NO_COMMANDS = (  # what a run of markers alone cannot be used for
+    "a run without commands can be shown, cut and joined, but no model can be learned from it, compared with it or "
+    "diagnosed; name the columns of the commands (or encoders) as `command` or `ticks` in the mapping"
+)
 HOME_TICKS = "home_ticks"  # the field with the ticks at home (C,) of a run whose commands count ticks from there
 CALIBRATION = "calibration"  # the field with the map (JSON) by which a control loop turned commands into `ticks`
 DAMAGE = "damage"  # the field with a sentence on what the recording lacks of which the run was made

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from softmap_edge.logs.time_keys import ROW_S
 from softmap_edge.run import OURS, Run
 from softmap_edge.run_pieces import spans
 
@@ -116,8 +117,8 @@ def lines(document: dict[str, Any]) -> list[str]:
         f"seen      {d['frames']} frames of {_seen(d)}" + ", aligned to the base" * d["aligned"],
         f"declared  {_conditions(d['declared'])}",
     ]
-    found += _listed("blocks", [_block(one) for one in d["blocks"]])
-    found += _listed("origin", [_piece(one, d["hash"]) for one in d["origin"]])
+    found += _listed("blocks", [_block(one, d["timeless"]) for one in d["blocks"]])
+    found += _listed("origin", [_piece(one, d["hash"], d["timeless"]) for one in d["origin"]])
     found += [f"kept      {', '.join(d['kept'])} (not known here, ignored)"] if d["kept"] else []
     return [*found, f"hash      {d['hash']}"]
 
@@ -139,14 +140,21 @@ def _conditions(declared: dict[str, Any]) -> str:
     return ", ".join(texts) or "nothing"
 
 
-def _block(one: dict[str, Any]) -> str:
-    return f"{one['label']}: {one['frames']} frames from {one['from_s']:g} to {one['to_s']:g} s"
+def _block(one: dict[str, Any], timeless: bool) -> str:
+    return f"{one['label']}: {one['frames']} frames from {_between(one, timeless)}"
 
 
-def _piece(one: dict[str, Any], own: str) -> str:
+def _between(one: dict[str, Any], timeless: bool) -> str:
+    """Return the span of a block or a piece: times, or rows of a log without time."""
+    low, high = one["from_s"], one["to_s"]
+    return f"row {low / ROW_S:.0f} to {high / ROW_S:.0f}" if timeless else f"{low:g} to {high:g} s"
+
+
+def _piece(one: dict[str, Any], own: str, timeless: bool) -> str:
     what = "this recording" if one["recording"] == own else f"recording {one['recording'][:12]}"
-    where = "" if one["at_s"] == one["from_s"] else f", here at {one['at_s']:g} s"
-    return f"{what}: {one['rows']} rows, {one['frames']} frames, {one['from_s']:g} to {one['to_s']:g} s{where}"
+    at = f"row {one['at_s'] / ROW_S:.0f}" if timeless else f"{one['at_s']:g} s"
+    where = "" if one["at_s"] == one["from_s"] else f", here at {at}"
+    return f"{what}: {one['rows']} rows, {one['frames']} frames, {_between(one, timeless)}{where}"
 
 
 def _listed(name: str, texts: list[str]) -> list[str]:

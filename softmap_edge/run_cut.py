@@ -53,6 +53,8 @@ def cut(
 
 def _span(run: Run, start: float, end: float, lead_s: float) -> Run:
     """Return the piece of a span of time."""
+    if start > run.t[-1] and end > start:
+        raise RunError(f"cut: the run ends at {run.t[-1]:g} s, before --from {start:g}; give a begin within the run")
     span = f"from {run.t[0] if start == -np.inf else start:g} to {run.t[-1] if end == np.inf else end:g} s"
     lasts = f"the run lasts from {run.t[0]:g} to {run.t[-1]:g} s"
     if not start < end:

@@ -105,7 +105,7 @@ def _placed(runs: Sequence[Run], gap_s: float) -> list[_Placed]:
         end = _end(before.run) + before.shift_s
         shift = _on_its_clock(before, run)
         if shift is None or _begin(run) + shift < before.run.t_seen[-1:].max(initial=-np.inf) + before.shift_s:
-            found.append(_Placed(run, end + gap_s - float(min(run.t[0], *run.t_seen[:1])), 0, False))
+            found.append(_Placed(run, end + gap_s - float(min([run.t[0], *run.t_seen[:1]])), 0, False))
             continue
         last_row = float(before.run.t[-1]) + before.shift_s
         skip = int(np.searchsorted(run.t + shift, last_row + SLACK))
@@ -126,7 +126,7 @@ def _begin(run: Run) -> float:
 
 def _end(run: Run) -> float:
     """Return the time s of the last row or frame."""
-    return float(max(run.t[-1], *run.t_seen[-1:]))
+    return float(max([run.t[-1], *run.t_seen[-1:]]))
 
 
 def _on_its_clock(before: _Placed, run: Run) -> float | None:

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from softmap_edge.diagnosis.advice import Word, advice
+from softmap_edge.diagnosis.advice import Word, advice, home_unknown
 from softmap_edge.diagnosis.collinear import collinear_conditions
 from softmap_edge.diagnosis.conditions import HOME, conditions, orientations
 from softmap_edge.diagnosis.frame_clock import frame_clock
@@ -20,7 +20,8 @@ from softmap_edge.diagnosis.lost import REMEDY, without_lost
 from softmap_edge.registration.clouds import with_depth
 from softmap_edge.report.advice_text import advice_lines
 from softmap_edge.report.numbers import folded
-from softmap_edge.run import BASE_MARKERS, DAMAGE, OURS, Run, known
+from softmap_edge.rollover import roll_overs_of
+from softmap_edge.run import BASE_MARKERS, DAMAGE, NO_COMMANDS, OURS, Run, known
 from softmap_edge.run_contents import command_ranges, rounded
 from softmap_edge.ticks import converted
 from softmap_edge.views import laid
@@ -34,6 +35,7 @@ def summary(recorded: Run, model: Any = None) -> dict[str, Any]:
     """Return the contents of a run, with units in the keys; `missing` and `warnings` are sentences.
 
     `collinear` are the conditions that cannot be separated from time or the commands (`collinear.Collinear`, `text`).
+    `home_known` is whether 0 can be home (`advice.home_unknown`).
     `not_seen` are sentences on points that stand for "not seen". Such a run is not sound; they count as not visible.
     `can_tell` and `cannot_tell` are lists of `{about, tells, text, remedy, minutes}` (`advice.Word`). A `model` with a
     calibration converts the ticks of the run to commands. Raises CalibrationError if it belongs to other servos.
@@ -77,6 +79,7 @@ def summary(recorded: Run, model: Any = None) -> dict[str, Any]:
     document["missing"] = _missing(run, document)
     document["collinear"] = [asdict(one) | {"text": str(one)} for one in collinear_conditions(run)]
     words = advice(run, document["home_visits"])
+    document["home_known"] = home_unknown(run) is None
     document["can_tell"] = [word.to_dict() for word in words if word.tells]
     document["cannot_tell"] = [word.to_dict() for word in words if not word.tells]
     clock = frame_clock(run)
@@ -114,7 +117,8 @@ def sentences(document: dict[str, Any]) -> list[str]:
         lines.append(f"          {ranges} mm in the base frame")
     if d["base_markers"]:
         lines.append(f"          and {d['base_markers']} markers on the base (`softmap align --base b0 b1 …`)")
-    lines.append(f"repeats   visits of home: {d['home_visits']}, other places visited again: {d['places_revisited']}")
+    visits = d["home_visits"] if d.get("home_known", True) else "not known"
+    lines.append(f"repeats   visits of home: {visits}, other places visited again: {d['places_revisited']}")
     told = [f"gravity {d['gravity']}"] if d["gravity"] else []
     told += [f"{name} {_span(d[key])} {u}" for name, key, u in _TOLD if d[key] is not None]
     told += ["encoder positions"] if d["encoders"] else []
@@ -255,6 +259,8 @@ def _warnings(run: Run) -> list[str]:
             notes.append(f"{name} has a gap of {step.max():.3g} s after row {row} (usual step {np.median(step):.3g} s)")
     if run.visible is not None and run.visible.size and run.visible.mean() < 0.5:
         notes.append(f"only {100 * run.visible.mean():.0f} % of the points are visible")
+    notes += roll_overs_of(run)
+    notes += [f"0 channels: {NO_COMMANDS}"] if run.channels == 0 else []
     away = _far_away(run)
     if away is not None:
         notes.append(away)

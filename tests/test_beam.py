@@ -46,7 +46,7 @@ def test_a_plate_at_the_tip_is_no_swapped_axis(folder):
     """Its markers lie across the beam, up z from a clamp whose place the mapping gives; else nobody knows."""
     text = (ROOT / "examples/beam.toml").read_text(encoding="utf-8")
     log = [folder / "beam_gravity_V2_a.c3d"]
-    assert import_logs(log, parse_mapping(text, ROOT)).doubts == ()
+    assert all("without commands" in doubt for doubt in import_logs(log, parse_mapping(text, ROOT)).doubts)
     bare = re.sub(r"(?m)^origin_mm.*$", "", text)
     assert any("at rest they run along" in doubt for doubt in import_logs(log, parse_mapping(bare, ROOT)).doubts)
 

@@ -218,7 +218,7 @@ def test_csv_logs_with_equal_mappings_are_parts_of_one(tmp_path):
     done = imported([tmp_path / "a.csv", tmp_path / "b.csv"], mapping)
     assert done.run.t == pytest.approx(np.arange(40) / 10) and any("b.csv, a.csv" in note for note in done.notes)
     (tmp_path / "b.csv").write_text(head + "".join(rows[:30]))
-    assert "overlap in time (t ends at 2.9 and begins at 2)" in refused(
+    assert "overlap in time (t ends at 2.9 s and begins at 2 s)" in refused(
         [tmp_path / "a.csv", tmp_path / "b.csv"], mapping
     )
 

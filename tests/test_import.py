@@ -174,7 +174,7 @@ def test_files_that_fit_no_log_are_named(tmp_path):
     mapping = read_mapping(tmp_path / "map.toml")
     with pytest.raises(RunError, match="other.csv fits no log"):
         import_logs([tmp_path / "run1.csv", tmp_path / "other.csv"], mapping)
-    with pytest.raises(RunError, match="2 of the given files fit"):
+    with pytest.raises(RunError, match="run1.csv and run2.csv overlap in time"):
         import_logs([tmp_path / "run1.csv", tmp_path / "run2.csv"], mapping)
     with pytest.raises(RunError, match="cannot be read"):
         import_logs([tmp_path / "absent.csv"], mapping)

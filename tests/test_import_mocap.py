@@ -44,7 +44,7 @@ def test_markers_come_in_mm_with_their_names(tmp_path, form, unit):
     assert run.markers == pytest.approx(points, abs=tolerance * 1000 if unit == "m" else tolerance)
     assert run.t_seen == pytest.approx(t, abs=1e-6) and run.channels == 0
     assert list(run.extra["marker_labels"]) == list(LABELS)
-    assert done.doubts == ()
+    assert all("without commands" in doubt for doubt in done.doubts)
 
 
 @pytest.mark.parametrize("form", FORMATS)
@@ -166,7 +166,9 @@ def test_the_beam_falls_under_gravity_and_further_with_a_load(tmp_path):
         assert (run.channels, run.markers.shape[1], base.shape[1]) == (0, 3, 3) and np.diff(
             run.t_seen
         ) == pytest.approx(0.01)
-        assert list(run.extra["marker_labels"]) == named["Tip"] and done.doubts == ()
+        assert list(run.extra["marker_labels"]) == named["Tip"] and all(
+            "without commands" in doubt for doubt in done.doubts
+        )
         tip = run.markers.mean(axis=1) - base.mean(axis=1)
         assert 85 < tip[0, 2] < 100  # mm from the base along +z
         drop[name] = tip[0] - tip[-100:].mean(axis=0)

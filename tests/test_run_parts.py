@@ -13,6 +13,7 @@ from test_runs import sound
 from softmap_edge import Run, builtin_model, join_runs
 from softmap_edge.cli import main
 from softmap_edge.errors import RunError
+from softmap_edge.run_contents import contents, lines
 from softmap_edge.run_cut import cut
 from softmap_edge.run_pieces import pieces
 
@@ -205,7 +206,7 @@ def test_nonsense_is_one_line():
     run = recording()
     for wrong, words in (
         (lambda: run.cut(9.0, 5.0), "ends before it begins"),
-        (lambda: run.cut(500.0), "no frame is seen from 500 to 19.95 s"),
+        (lambda: run.cut(500.0), "the run ends at 19.95 s, before --from 500"),
         (lambda: run.cut(block="fist"), "did you mean 'fast'"),
         (lambda: run.cut(1.0, block="fast"), "not both"),
         (lambda: run.cut(1.0, lead_s=-1.0), "lead_s: -1"),
@@ -311,3 +312,22 @@ def test_the_commands_of_the_page_run_and_print_what_it_shows(tmp_path, monkeypa
     (code,) = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
     exec(code, {})
     assert Run.load("both.npz").frames == 800
+
+
+@pytest.mark.parametrize("start", [25.0, 200.0, 9e5])
+def test_a_cut_beyond_the_end_names_the_end(start):
+    with pytest.raises(RunError, match=rf"the run ends at 19.95 s, before --from {start:g}"):
+        cut(recording(), start)
+    with pytest.raises(RunError, match="ends before it begins"):
+        cut(recording(), start, 20.0)
+
+
+@pytest.mark.parametrize("rows", [40, 200, 4500])
+def test_a_run_without_time_is_listed_by_rows(rows):
+    t = np.arange(rows) * 0.05
+    block = np.repeat([0, 1], rows // 2)
+    run = Run(t=t, t_seen=t, command=np.sin(t)[:, None], timeless=True, block=block,
+              markers=np.cumsum(np.ones((rows, 2, 3)), axis=0) + [[[0, 0, 0], [0, 0, 9]]])  # fmt: skip
+    text = "\n".join(lines(contents(run)))
+    assert f"1: {rows // 2} frames from row {rows // 2} to {rows - 1}" in text and f"row 0 to {rows - 1}" in text
+    assert not re.search(r"\d s\b", text)

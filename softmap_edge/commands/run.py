@@ -15,6 +15,7 @@ from softmap_edge.run import Run
 from softmap_edge.run_contents import contents, lines
 from softmap_edge.run_cut import cut
 from softmap_edge.run_join import GAP_S, join_runs
+from softmap_edge.run_join_doubts import join_doubts
 
 Piece = tuple[str, Run]
 
@@ -118,13 +119,15 @@ def _numbered(name: str, number: int) -> str:
 def _join(args: argparse.Namespace) -> int:
     check_file("--out", args.out, ".npz")
     check_no_run("--out", args.out, args.force)
-    whole = join_runs([open_run(path) for path in args.runs], args.gap, args.drop)
+    runs = [open_run(path) for path in args.runs]
+    whole = join_runs(runs, args.gap, args.drop)
     whole.save(args.out)
-    document = contents(whole)
+    document = contents(whole) | {"doubts": join_doubts(runs, args.gap)}
     if args.json:
         print(json.dumps({"schema": "softmap.join/1", "out": args.out} | document, ensure_ascii=False))
     else:
         print("\n".join([f"{args.out}: {len(args.runs)} runs joined", *lines(document)]))
+        print("".join(f"look at   {doubt}\n" for doubt in document["doubts"]), end="")
     return 0
 
 

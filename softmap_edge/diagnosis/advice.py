@@ -21,8 +21,9 @@ from softmap_edge.diagnosis.conditions import STILL, Conditions, conditions, las
 from softmap_edge.diagnosis.floor import commanded, noise_of_points
 from softmap_edge.diagnosis.repeats import LONG_DWELL
 from softmap_edge.folds import GAP, LEAST_FRAMES, without_gap
+from softmap_edge.home_command import far_from_home, rest_command
 from softmap_edge.plane import AXES, plane_of, unmeasured
-from softmap_edge.run import Run, known
+from softmap_edge.run import HOME_TICKS, Run, known
 
 Floats = NDArray[np.float64]
 
@@ -67,11 +68,13 @@ def advice(run: Run, home_visits: int) -> list[Word]:
         ]
     u = commanded(run)
     state = conditions(run, u)
-    words = [_enough(run.frames), *_folds(run), _noise(run), _home(home_visits)]
+    away = home_unknown(run)
+    words = [_enough(run.frames), *_folds(run), _noise(run), _home(home_visits) if away is None else away]
     words += [] if run.output is not None else [_orientation(run), *_points(run)]  # outputs have no body
     words += _drive(u)
     if words[-1].about != "drive":
-        words += [_no_time()] if run.timeless else [_speed(u, state), _dwell(state)]
+        words += [_no_time()] if run.timeless else [_speed(u, state)]
+        words += [] if run.timeless or away is not None else [_dwell(state)]
         words.append(_direction(state))
     return [*words, _temperature(run)]
 
@@ -154,6 +157,27 @@ def _home(visits: int) -> Word:
     )  # fmt: skip
 
 
+def home_unknown(run: Run) -> Word | None:
+    """Return the word on commands that are not counted from home; None if 0 can be home."""
+    u = commanded(run)
+    if not u.size or HOME_TICKS in run.extra or not (far := np.flatnonzero(far_from_home(reach_of(u)))).size:
+        return None
+    unit = run.command_unit if run.command is not None else "ticks"
+    reach = ", ".join(f"channel {c} runs from {u[:, c].min():g} to {u[:, c].max():g} {unit}" for c in far[:PAIRS])
+    offset = ", ".join(f"{-x + 0.0:g}" for x in np.where(np.isin(np.arange(u.shape[1]), far), rest_command(u), 0.0))
+    return Word(
+        "home", False,
+        f"gain, play, slack and drift, which count from home: {reach}, far from 0, so home is not known",
+        f"subtract the command at which the robot rests in the mapping, and import again: offset = [{offset}] if that "
+        "is where the run begins; if 0 is home, record the robot at rest there", None,
+    )  # fmt: skip
+
+
+def reach_of(u: Floats) -> Floats:
+    """Return the least and largest command (C, 2) of commands (T, C)."""
+    return np.stack([u.min(axis=0), u.max(axis=0)], axis=1)
+
+
 def _orientation(run: Run) -> Word:
     at = np.clip(np.searchsorted(run.t, run.t_seen, side="right") - 1, 0, None)
     seen = run.gravity if run.gravity is None or run.gravity.ndim == 1 else run.gravity[at]
@@ -224,11 +248,13 @@ def _channels(u: Floats) -> Iterator[Word]:
         yield Word("channels", False, text, "move each channel alone, the others at rest", float(len(alive)))
     if len(alive) > 1 and not (tied or pairs or len(still)):
         yield Word("channels", True, f"one channel vs. another: all {len(alive)} move independently")
-    if len(alive) > 1 and not (tied or pairs) and (never := apart(u)):
+    far = far_from_home(reach_of(u))
+    if len(alive) > 1 and not (tied or pairs or far.any()) and (never := apart(u)):
         text = f"what channels do together: {said_apart(never)} are never far from home at once"
         remedy = "move them together as well, to the corners of their ranges"
         yield Word("together", False, text, remedy, float(min(len(never), 4)))
-    one_sided = [c for c in alive if u[:, c].min() > -0.05 * u[:, c].max() or u[:, c].max() < -0.05 * u[:, c].min()]
+    counted = [c for c in alive if not far[c]]
+    one_sided = [c for c in counted if u[:, c].min() > -0.05 * u[:, c].max() or u[:, c].max() < -0.05 * u[:, c].min()]
     if one_sided:
         named = ", ".join(map(str, one_sided))
         text = f"what the second tendon of a pair does: channel {named} is pulled to one side only"

@@ -29,6 +29,7 @@ from softmap_edge.logs.guess_columns import (
     roles_of,
     unit_in_name,
 )
+from softmap_edge.logs.guess_parts import joined_parts
 from softmap_edge.logs.guess_text import Found, mapping_text, seconds
 from softmap_edge.logs.guess_time import RATE_HZ, time_of
 from softmap_edge.logs.importer import import_logs
@@ -36,6 +37,7 @@ from softmap_edge.logs.lerobot import EITHER_UNIT
 from softmap_edge.logs.mapping import ANGLE, LENGTH, parse_mapping
 from softmap_edge.logs.not_seen import not_seen
 from softmap_edge.logs.plausible import at_rest, axes_for, is_base, rest_axis
+from softmap_edge.logs.table import header_hint
 from softmap_edge.logs.triples import LeftOut, Triples
 
 Array = NDArray[np.float64]
@@ -75,7 +77,8 @@ def guess_mapping(paths: Sequence[str | os.PathLike[str]]) -> Guess:
         RunError: a file cannot be read, or nothing in it looks like commands or markers.
     """
     files = [Path(path) for path in paths]
-    sheets, found = read_sheets(files), Found()
+    found = Found()
+    sheets, found.assumed, apart = joined_parts(read_sheets(files))
     rows = max((len(sheet.numbers) for sheet in sheets), default=0)
     if rows < 2:
         names = ", ".join(path.name for path in files)
@@ -96,11 +99,7 @@ def guess_mapping(paths: Sequence[str | os.PathLike[str]]) -> Guess:
     _find_points(sheets, found)
     _find_drives(sheets, found)
     if found.points is None and found.command is None:
-        seen = "; ".join(f"{_called(sheet)}: {', '.join(map(_range_of(sheet), sheet.names))}" for sheet in sheets)
-        raise RunError(
-            f"no column looks like a command or a marker by its name ({seen[:600]}); write the mapping by hand: "
-            "docs/mapping.md lists its keys, examples/trunk.toml shows the form"
-        )
+        raise _nothing_found(sheets)
     found.unknown += [
         line for sheet, time in zip(sheets, found.times.values()) for line in _left_out(sheet, time.columns, found)
     ]
@@ -111,7 +110,18 @@ def guess_mapping(paths: Sequence[str | os.PathLike[str]]) -> Guess:
     head = [f"# Proposed from the header and the ranges of {', '.join(path.name for path in files)}; read every line."]
     head += [f"# ASSUMED  {line}" for line in found.assumed] + [f"# UNKNOWN  {line}" for line in found.unknown]
     text = "\n".join([*map(_one_line, head), text])
-    return Guess(text, tuple(found.assumed), tuple(found.unknown), _tried(files, text))
+    return Guess(text, tuple(found.assumed), tuple(found.unknown), (*apart, *_tried(files, text)))
+
+
+def _nothing_found(sheets: list[Sheet]) -> RunError:
+    """Return the error that no column has the name of a command or a marker."""
+    seen = "; ".join(f"{_called(sheet)}: {', '.join(map(_range_of(sheet), sheet.names))}" for sheet in sheets)
+    seen = seen if len(seen) <= 600 else f"{seen[:600].rpartition(', ')[0] or seen[:600]} …"
+    hint = next((hint for sheet in sheets if (hint := header_hint(sheet))), "")
+    return RunError(
+        f"no column looks like a command or a marker by its name ({seen}){hint}; write the mapping by hand: "
+        "docs/mapping.md lists its keys, examples/trunk.toml shows the form"
+    )
 
 
 def _one_line(comment: str) -> str:

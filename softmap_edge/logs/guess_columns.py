@@ -44,10 +44,13 @@ ROLES: tuple[tuple[str, str], ...] = (
     ("temperature", r"temp|celsius"),
     ("load", r"(^|_)(load|mass|weight|payload)(_|$)"),
     ("present", r"present|actual|meas|enc|feedback|(^|_)fb|phi#|joint_?state|theta#|^q#|read"),
+    ("present", r"gemessen|(^|[_ .])ist([_ .#-]|wert|winkel|pos|lage|$)"),
     ("command", r"^u(_[a-z]{1,2})?_?#|cmd|command|goal|target|set_?point|desired|_des|_ref|action|input|control"),
+    ("command", r"soll|vorgabe|stell_?(gr|wert|signal)|befehl|f(ü|ue)hrungsgr|consigne"),
     ("command", r"servo|tendon|motor|cable|actuat|pull"),
-    ("present", r"^pos|position|angle|joint|state"),
+    ("present", r"^pos|position|angle|joint|state|winkel|gelenk|stellung|articulation"),
 )
+_SURE = 7  # of the roles: the names of the others are those of goals and of positions that are read
 _UNIT = {"mm": "mm", "cm": "cm", "m": "m", "um": "um", "deg": "deg", "degrees": "deg", "°": "deg", "rad": "rad"}
 _UNIT |= {"radians": "rad", "ticks": "ticks", "ma": "mA", "a": "A", "g": "g", "kg": "kg", "n": "N", "k": "K"}
 _UNIT |= {"degc": "degC", "°c": "degC", "c": "degC"}
@@ -71,6 +74,9 @@ class Sheet:
     indexed: bool = False  # brackets at the end of a name hold the number or name of an element
     episode: int | None = None  # of a dataset
     clocks: dict[str, str] = field(default_factory=dict)  # columns of dates or times, in s, and their form
+    head_line: int | None = None  # the number of the line of a text log that names the columns
+    parts: int = 1  # files of the log
+    more: tuple[str, ...] = ()  # the `file` of further parts that no common pattern names
 
     def column(self, name: str) -> Array:
         """Return the numbers of a column."""
@@ -170,7 +176,7 @@ def _sheet(part: Part, columns: Columns, which: list[int]) -> Sheet:
     file = pattern_of([part])
     return Sheet(
         part.given, None, names, dict(columns.units), numbers, texts, header, bare, file=file, indexed=arrays,
-        episode=episode, clocks=clocks,
+        episode=episode, clocks=clocks, head_line=getattr(columns, "head_line", None),
     )  # fmt: skip
 
 
@@ -277,7 +283,7 @@ def roles_of(sheet: Sheet, spent: set[str]) -> list[Role]:
             if rank is not None:
                 kind = ROLES[rank][0]
                 unit = _UNIT.get((sheet.units.get(names[0]) or unit_in_name(names[0], _UNIT) or "").lower())
-                roles.append((rank, Role(kind, names, unit if unit in UNITS[kind] else None, why, rank < 5, joint)))
+                roles.append((rank, Role(kind, names, unit if unit in UNITS[kind] else None, why, rank < _SURE, joint)))
                 break
     roles.sort(key=lambda pair: pair[0])  # stable: neighbours in the file stay neighbours
     merged: list[tuple[int, Role]] = []

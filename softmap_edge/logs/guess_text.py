@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,7 +36,7 @@ class Found:
 
 def mapping_text(sheets: list[Sheet], found: Found, frame: list[str]) -> str:
     """Return the mapping of what was found, with the lines of the frame of its markers."""
-    files = len({sheet.file for sheet in sheets})
+    files = len({sheet.file for sheet in sheets}) + any(sheet.parts > 1 for sheet in sheets)
     lines = [f'schema = "{SCHEMA}"', '# robot = "…"   # a name']
     unit = found.command[1].unit if found.command is not None else None
     if unit in ANGLE:
@@ -48,7 +48,9 @@ def mapping_text(sheets: list[Sheet], found: Found, frame: list[str]) -> str:
     for k, sheet in enumerate(sheets):
         inside = _inside(sheet, found)
         if inside:
-            lines += ["", "[[log]]", *_head(sheet, files), found.times[k].line, *inside]
+            for file in (sheet.file, *sheet.more):
+                one = replace(sheet, file=file)
+                lines += ["", "[[log]]", *_head(one, files), found.times[k].line, *inside]
     if found.points is not None:
         lines += frame
         sheet = found.points[0]

@@ -30,9 +30,10 @@ from softmap_edge.logs.mapping import ANGLE, LENGTH, Mapping, Quantity, read_map
 from softmap_edge.logs.plausible import doubts_of_both, doubts_of_rest, doubts_of_rows, doubts_of_time
 from softmap_edge.logs.sources import assign, named, open_parts, parts_of
 from softmap_edge.logs.table import LogTable, read_log
+from softmap_edge.logs.unwrap import counted_on
 from softmap_edge.mcap_records import Damage
 from softmap_edge.plane import AXES, PLANE
-from softmap_edge.run import DAMAGE, NOT_SEEN, SPOOL_RADIUS, Run
+from softmap_edge.run import DAMAGE, NO_COMMANDS, NOT_SEEN, SPOOL_RADIUS, Run
 from softmap_edge.time_digits import differing
 
 __all__ = ["Imported", "Mapping", "import_logs", "read_mapping", "unhold"]
@@ -80,6 +81,7 @@ def import_logs(paths: Sequence[str | os.PathLike[str]], mapping: Mapping) -> Im
     t_seen = seen(tables, mapping, t, fields, notes, doubts)
     if t is None and t_seen is None:
         raise RunError(f"{mapping.path}: names neither commands nor markers nor outputs; give at least one of them")
+    doubts += [f"command: no column; {NO_COMMANDS}"] if t is None else []
     t = t_seen if t is None else t
     assert t is not None
     del tables  # of a long log, half of the memory
@@ -167,7 +169,7 @@ def _command_rows(
         t = tables[k].t[given]
     for k, log in enumerate(mapping.logs):
         for name, quantity in log.rows.items():
-            own, values = _filled(name, tables[k], tables[k].numbers(quantity.columns))
+            own, values = _filled(name, tables[k], counted_on(name, tables[k], quantity, notes, doubts))
             doubts += doubts_of_rows(name, values, quantity)
             values = _convert(name, values, quantity, mapping)
             if quantity.held != "keep":

@@ -23,6 +23,7 @@ from softmap_edge.logs.time_keys import ROW_S as ROW_S
 from softmap_edge.logs.time_keys import TIME as TIME
 from softmap_edge.logs.time_keys import Clock as Clock
 from softmap_edge.logs.time_keys import clock_of
+from softmap_edge.rollover import DRIVES
 from softmap_edge.toml_table import TomlTable, shown
 
 Array = NDArray[np.float64]
@@ -60,6 +61,7 @@ class Quantity:
     swaps: str = "report"
     not_seen: tuple[float, ...] | None = ()  # numbers that stand for "not seen"; None keeps all
     axes: int = 3  # of a marker: 2 in a plane
+    unwrap: Array | None = None  # (columns,) the turn after which each rolls over, in the unit of the log
 
 
 @dataclass(frozen=True)
@@ -323,9 +325,18 @@ def _quantity(log: TomlTable, name: str, command_unit: str) -> Quantity:
         swaps=table.choice("swaps", ("report", "mend"), "report") if name == "markers" else "report",
         not_seen=not_seen_of(table) if name in POINTS else (),
         axes=axes if name in POINTS else 1,
+        unwrap=_unwrap(table, len(flat)) if name in DRIVES and "unwrap" in table.values else None,
     )
     table.done()
     return quantity
+
+
+def _unwrap(table: TomlTable, count: int) -> Array:
+    """Return the turn of each column."""
+    turns = per_column(table, "unwrap", count, 0.0)
+    if not (np.isfinite(turns) & (turns > 0)).all():
+        raise RunError(f"{table.where}: unwrap = {shown(table.values['unwrap'])}, expected the size of a turn: 4096")
+    return turns
 
 
 def _held(name: str) -> tuple[tuple[str, ...], str]:

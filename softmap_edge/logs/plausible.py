@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from softmap_edge.home_command import rest_command
 from softmap_edge.logs.mapping import LENGTH, Mapping, Quantity
 
 Array = NDArray[np.float64]
@@ -160,7 +161,7 @@ def at_rest(t: Array, t_seen: Array, command: Array | None, markers: Array) -> A
     """Return the (M, 3) median places of the markers in the frames nearest to home."""
     if command is None or command.size == 0 or not np.abs(command).max():
         return _middle(markers)
-    size = np.abs(command).max(axis=1)
+    size = np.abs(command - rest_command(command)).max(axis=1)
     near = np.interp(t_seen, t, size)
     chosen = near <= max(_HOME * float(size.max()), float(np.quantile(near, 0.02)))
     return _middle(markers[chosen])

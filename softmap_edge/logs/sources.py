@@ -19,7 +19,6 @@ import numpy as np
 
 from softmap_edge.errors import RunError
 from softmap_edge.logs.mapping import Log, Mapping
-from softmap_edge.logs.measured import Column
 from softmap_edge.logs.readers.columns import Columns
 from softmap_edge.logs.readers.kinds import ARRAYS, PACKED, RECORDINGS, kind_of
 from softmap_edge.logs.readers.mcap_file import Topic, open_mcap, topics
@@ -29,7 +28,8 @@ from softmap_edge.logs.readers.parquet_log import episodes_in
 from softmap_edge.logs.readers.parts import JoinedColumns
 from softmap_edge.logs.readers.rosbag_folder import files_of
 from softmap_edge.logs.readers.rosbag_sqlite import open_db3, topics_of_db3
-from softmap_edge.logs.table import open_log
+from softmap_edge.logs.table import columns_named, header_hint, open_log
+from softmap_edge.logs.time_keys import Clock
 
 
 @dataclass(frozen=True)
@@ -146,13 +146,25 @@ def open_parts(parts: Sequence[Part], log: Log) -> Columns:
         names = ", ".join(part.path.name for part in parts)
         raise RunError(f"{names}: only a column of time could put them in order; import each file alone")
     opened = [(part.path.name, open_parts([part], log)) for part in parts]
-    if any(columns.units != opened[0][1].units for _, columns in opened):
-        raise RunError(f"{first.path}: states other units than {parts[1].path.name}; import each file alone")
-    return JoinedColumns(first.path, tuple(opened), _name_of(opened[0][1], log.clock.column))
+    _check_alike(first.path, opened, log)
+    return JoinedColumns(first.path, tuple(opened), log.clock)
 
 
-def _name_of(columns: Columns, column: Column) -> str:
-    return columns.names[column] if isinstance(column, int) and 0 <= column < len(columns.names) else str(column)
+def _check_alike(path: Path, opened: Sequence[tuple[str, Columns]], log: Log) -> None:
+    """Raise RunError if files are no parts of one log: a column is missing in one of them, or units differ."""
+    asked = [column for column in columns_named(log) if isinstance(column, str)]
+    known = {column for column in asked if any(column in columns.names for _, columns in opened)}
+    for name, columns in opened:
+        missing = [column for column in asked if column in known and column not in columns.names]
+        if missing:
+            raise RunError(
+                f"{path}: {len(opened)} of the given files fit one log, but {name} has no column {missing[0][:40]}"
+                f"{header_hint(columns)}; give exactly one, or change `file` in the mapping"
+            )
+    units = [{name: columns.units.get(name) for name in known} for _, columns in opened]
+    other = next((k for k, one in enumerate(units) if one != units[0]), None)
+    if other is not None:
+        raise RunError(f"{path}: states other units than {opened[other][0]}; import each file alone")
 
 
 def _recording(parts: Sequence[Part], topic: str | None, most: int | None = None) -> Columns:
@@ -168,7 +180,7 @@ def _recording(parts: Sequence[Part], topic: str | None, most: int | None = None
     if not holders:
         raise no_message(parts[0].given, asked, named)
     opened = tuple((part.path.name, open_topic(part, asked, most)) for part in holders)
-    return opened[0][1] if len(opened) == 1 else JoinedColumns(parts[0].given, opened, "log_time")
+    return opened[0][1] if len(opened) == 1 else JoinedColumns(parts[0].given, opened, Clock("log_time", 1.0))
 
 
 def open_recording(parts: Sequence[Part], topic: str, most: int) -> Columns:
@@ -276,7 +288,9 @@ def _fitting(parts: list[Part], log: Log, patterns: list[str], mapping: Mapping)
     if len(fits) > 1 and all(part.kind == "parquet" for part in fits):
         fits = _with_episode(fits, log, mapping)
     recorded = bool(fits) and all(part.kind in RECORDINGS for part in fits)
-    if len(fits) == 1 or recorded or (1 < len(fits) == len(patterns)):
+    parted = len(fits) > 1 and log.clock.column is not None and (log.file is not None or len(mapping.logs) == 1)
+    alike = parted and not any(part.kind in (*RECORDINGS, "parquet") for part in fits)
+    if len(fits) == 1 or recorded or alike or (1 < len(fits) == len(patterns)):
         return fits
     names = ", ".join(part.path.name for part in fits)
     found = f"{len(fits)} of the given files fit ({names[:300]})" if fits else "no given file fits"

@@ -41,6 +41,8 @@ _VENDORS: dict[str, Callable[[Path], Columns]] = {
 }
 LARGEST = 1e20  # of any cell, whatever its unit: times in nanoseconds since 1970 are 2e18
 _TOLD = 6  # columns that are named
+_NAMED = 8  # missing columns that are named
+_WIDTH = 200  # characters of a list of columns
 
 
 @dataclass(frozen=True)
@@ -121,11 +123,8 @@ def read_log(path: Path, log: Log, columns: Columns | None = None) -> LogTable:
     """
     columns = open_log(path, log) if columns is None else columns
     names = columns.names
-    wanted: list[Column] = [column for quantity in log.rows.values() for column in quantity.columns]
-    wanted += [column for points in (log.markers, log.base) if points is not None for column in points.columns]
-    wanted += [] if log.output is None else log.output.columns
-    wanted += log.clock.columns
-    _all_there(path, names, [*wanted, *([] if log.block is None else [log.block])], log.delimiter)
+    wanted = columns_named(log)
+    _all_there(path, columns, [*wanted, *([] if log.block is None else [log.block])], log.delimiter)
     places = sorted({place(path, names, column) for column in wanted})
     cells = columns.read(places, None if log.block is None else place(path, names, log.block))
     clocks = [place(path, names, column) for column in log.clock.columns]
@@ -135,11 +134,19 @@ def read_log(path: Path, log: Log, columns: Columns | None = None) -> LogTable:
     cells = _finite(_cut(path, cells, log), places, names)
     _within_reason(path, columns.where, cells, places, names)
     cells, aside = _set_aside(columns.where, cells, [places.index(clock) for clock in clocks])
-    times = times_of(path, columns.where, cells, _raw_times(path, columns, cells, places, log.clock), log.clock)
+    times = times_of(path, columns.where, cells, raw_times(path, columns, cells, places, log.clock), log.clock)
     values = dict(zip(places, times.cells.numbers.T))
     doubts = (*times.doubts, *_assumed(log.clock, len(times.t)))
     notes = (*cells.notes, *aside, *times.notes)
     return LogTable(path, times.t, names, columns.units, values, times.cells.labels, notes, doubts)
+
+
+def columns_named(log: Log) -> list[Column]:
+    """Return the columns of numbers that a log of a mapping names, time first."""
+    found: list[Column] = [*log.clock.columns]
+    found += [column for quantity in log.rows.values() for column in quantity.columns]
+    found += [column for points in (log.markers, log.base) if points is not None for column in points.columns]
+    return [*found, *([] if log.output is None else log.output.columns)]
 
 
 def _cut(path: Path, cells: Cells, log: Log) -> Cells:
@@ -182,18 +189,46 @@ def place(path: Path, names: list[str], column: Column) -> int:
             numbers = " and ".join(str(k) for k, name in enumerate(names) if name == column)
             raise RunError(f"{path}: columns {numbers} are all called '{column[:60]}'; give the number instead")
         return names.index(column)
-    raise RunError(f"{path}: no column '{column[:60]}'; there are {', '.join(names)[:200]}")
+    raise RunError(f"{path}: no column '{column[:60]}'; there are {_listed(names)}")
 
 
-def _all_there(path: Path, names: list[str], wanted: list[Column], delimiter: str | None) -> None:
-    missing = [c for c in wanted if (c not in names if isinstance(c, str) else not 0 <= c < len(names))]
+def _listed(names: list[str]) -> str:
+    """Return the names of columns for a message, and how many of them are left out."""
+    shown = names[:1]
+    for name in names[1:]:
+        if len(", ".join([*shown, name])) > _WIDTH:
+            return f"{', '.join(shown)[:_WIDTH]} … and {len(names) - len(shown)} more"
+        shown = [*shown, name]
+    return ", ".join(shown)[:_WIDTH]
+
+
+def _all_there(path: Path, columns: Columns, wanted: list[Column], delimiter: str | None) -> None:
+    names = columns.names
+    missing = [c for c in dict.fromkeys(wanted) if (c not in names if isinstance(c, str) else not 0 <= c < len(names))]
     if not missing:
         return
-    listed = ", ".join(str(column)[:40] for column in dict.fromkeys(missing[:8]))
+    listed = ", ".join(str(column)[:40] for column in missing[:_NAMED])
+    listed += f" and {len(missing) - _NAMED} more" if len(missing) > _NAMED else ""
     hint = ""
     if len(names) == 1 and delimiter is not None and (other := find_delimiter(names[0])) in names[0]:
         hint = f"; the file seems to be cut by '{other}', not by '{delimiter}'"
-    raise RunError(f"{path}: no column {listed}; there are {', '.join(names)[:200]}{hint}; change the mapping")
+    hint += header_hint(columns)
+    raise RunError(f"{path}: no column {listed}; there are {_listed(names)}{hint}; change the mapping")
+
+
+def header_hint(columns: Any) -> str:
+    """Return the line from which names were taken and the ways out if it is the wrong one; "" of other formats.
+
+    Args:
+        columns: the log, or what else has its `head_line`.
+    """
+    line = getattr(columns, "head_line", None)
+    if line is None:
+        return ""
+    return (
+        f"; line {line} was taken for the names: if another line holds them, set skip_rows to the number of lines "
+        "above it, or header = false and give column numbers"
+    )
 
 
 def _finite(cells: Cells, places: list[int], names: list[str]) -> Cells:
@@ -237,8 +272,19 @@ def _set_aside(where: str, cells: Cells, clocks: list[int]) -> tuple[Cells, list
     return kept(cells, ~bare), [note]
 
 
-def _raw_times(path: Path, columns: Columns, cells: Cells, places: list[int], clock: Clock) -> Array:
-    """The times (rows,) s as the log has them; NaN where it has none."""
+def raw_times(path: Path, columns: Columns, cells: Cells, places: list[int], clock: Clock) -> Array:
+    """Return the times (rows,) s as the log has them; NaN where it has none.
+
+    Args:
+        path: the log, for messages.
+        columns: the log, opened.
+        cells: those of its columns `places`, which hold the columns of time.
+        places: positions of columns.
+        clock: the time that the mapping declares.
+
+    Raises:
+        RunError: there is no such column, or it holds dates where numbers are declared.
+    """
     if clock.column is None:
         return np.arange(len(cells.numbers), dtype=float) * clock.seconds + clock.offset_s
     texts: dict[int, Any] = getattr(columns, "clocks", {})

@@ -21,6 +21,7 @@ CHARACTERS = 2**20  # of these lines, but never fewer than `LEAST` lines
 LEAST = 8
 _LOOKED = 20  # rows below a line that decide whether it is a row as well
 _COMMON = 0.05  # of the rows: a width that so many have is no accident
+_NEAR = 3  # lines of text above a line of units or types that may hold the names
 _SPARE = 3  # names more than cells: columns that are empty in every row, as comments are
 
 
@@ -188,15 +189,24 @@ def _wide(cells: list[str], width: int) -> bool:
 
 def _units_below(lines: list[_Line], k: int) -> bool:
     """Return whether a line holds units (or types) of the names above it."""
-    cells = lines[k].cells
+    cells = trimmed(lines[k].cells)
     filled = [cell for cell in cells if cell]
     if not filled:
         return False
     if all(is_unit(cell) for cell in filled):
         return True
-    above = trimmed(lines[k - 1].cells) if k and lines[k - 1].kind == "text" else []
-    named = len(above) == len(trimmed(cells)) and all(above) and len(set(above)) == len(above)
-    return named and len(set(filled)) < len(filled)
+    known = 2 * sum(map(is_unit, filled)) >= len(filled)
+    above = range(k - 1, max(k - 1 - _NEAR, -1), -1)
+    names = [trimmed(lines[j].cells) for j in above if lines[j].kind == "text"]
+    return any(_names_these(own, cells) and (known or len(set(filled)) < len(set(own))) for own in names)
+
+
+def _names_these(own: list[str], cells: list[str]) -> bool:
+    """Whether a line has distinct names for the cells of a line below it; the first column may have none."""
+    filled = [name for name in own if name]
+    if len(own) < len(cells) or 3 * len(set(filled)) <= 2 * len(filled) or all(map(is_unit, filled)):
+        return False
+    return all(name or not cell for name, cell in list(zip(own, cells))[1:])
 
 
 def _head(lines: list[_Line], first: int, width: int, fewest: int, mark: str, rows: list[int]) -> Table:
@@ -214,11 +224,23 @@ def _head(lines: list[_Line], first: int, width: int, fewest: int, mark: str, ro
         if len(own) != width:
             return replace(bare, clash=header)
     names = _grouped(own, lines[header - 1] if header else None)
-    units: dict[str, str] = {}
+    units = _units_above(names, lines[header - 1]) if header and names == own else {}
     for line in lines[header + 1 : first]:
         if line.kind == "text":
-            units |= {name: unit_of(cell) for name, cell in zip(names, line.cells) if cell and is_unit(cell)}
+            units |= _units_of(names, line.cells)
     return Table(mark, names, first, header, width, fewest, units)
+
+
+def _units_of(names: list[str], cells: list[str]) -> dict[str, str]:
+    """Return the known units of a line, by the names of their columns."""
+    return {name: unit_of(cell) for name, cell in zip(names, cells) if cell and is_unit(cell)}
+
+
+def _units_above(names: list[str], above: _Line) -> dict[str, str]:
+    """Return the units of a line above the names; {} if it holds something else."""
+    filled = [cell for cell in above.cells if cell]
+    full = above.kind == "text" and len(trimmed(above.cells)) <= len(names) and 2 * len(filled) >= len(names)
+    return _units_of(names, above.cells) if full and 2 * sum(map(is_unit, filled)) >= len(filled) else {}
 
 
 def _bare_head(lines: list[_Line], bare: Table, rows: list[int]) -> Table:

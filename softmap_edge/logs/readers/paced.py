@@ -63,6 +63,11 @@ class PacedColumns:
         """Whether columns have names."""
         return self.inner.header
 
+    @property
+    def head_line(self) -> int | None:
+        """The number of the line that names the columns."""
+        return self.inner.head_line
+
     def texts(self, rows: int) -> dict[str, list[str]]:
         """Return the columns that hold text in the first rows, with that text."""
         return self.inner.texts(rows)

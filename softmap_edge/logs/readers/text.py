@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from softmap_edge.errors import RunError
 from softmap_edge.logs.readers.cells import find_delimiter, is_number, is_plain, split
 from softmap_edge.logs.readers.columns import Array, Cells
+from softmap_edge.logs.readers.encoding import encoding_of
 from softmap_edge.logs.readers.header import LINES, Table, find_table, widths_of
 from softmap_edge.logs.readers.words import EMPTY, Words, is_text, is_word
 from softmap_edge.logs.time_text import TimeText, TimeTextError, time_text_of
@@ -50,6 +51,7 @@ class TextColumns:
     stop: int | None = None  # the line number after the last row; None: the end of the file
     clocks: dict[int, TimeText] = field(default_factory=dict)  # columns of dates or times, read as s
     words: Words = field(default_factory=Words)  # of the last reading
+    head_line: int | None = None  # the number of the line that names the columns
 
     def texts(self, rows: int) -> dict[str, list[str]]:
         """Return the columns that hold text in the first rows, with that text; times are no text."""
@@ -302,11 +304,14 @@ def open_text(
     notes += ["the line below the header is units"] if table.units and header is not False else []
     if table.fewest < table.width:
         notes.append(f"rows of {table.fewest} to {table.width - 1} cells, as there are many, end in empty cells")
+    notes += [note] if (note := encoding_of(path)[1]) is not None else []
     named = header is not False and table.names is not None
     columns = TextColumns(
         path, names, skip_rows + 1 + first, table.delimiter, decimal or ".", skip_last, notes=tuple(notes), header=named
     )
     columns = replace(columns, units=table.units if named else {}, fewest=min(table.fewest, len(names)))
+    if named and table.header is not None:
+        columns = replace(columns, head_line=skip_rows + 1 + table.header)
     if decimal is None and _decimal_commas(columns, start[first : first + 20]):
         columns = replace(columns, decimal=",", notes=(*columns.notes, "numbers have decimal commas"))
     return columns.with_clocks(order)
@@ -380,7 +385,7 @@ def _blocks(path: Path, first: int, stop: int | None = None) -> Iterator[tuple[i
             raise RunError(f"{path}: {'a folder' if path.is_dir() else 'cannot be read'}; give the path of a log")
         if path.stat().st_size > LIMIT:
             raise RunError(f"{path}: {path.stat().st_size} bytes, at most {LIMIT} are read; split the log")
-        with path.open(encoding="utf-8-sig") as file:
+        with path.open(encoding=encoding_of(path)[0]) as file:
             while text := file.read(_BLOCK):
                 if "\0" in text:
                     raise RunError(f"{path}: holds zero bytes; the file is damaged or not a CSV log")

@@ -1,0 +1,182 @@
+"""Files with the same columns, one after another in time, are parts of one log; others are not."""
+
+import gzip
+from pathlib import Path
+
+import numpy as np
+import pytest
+from bench_rows import NAMES, STEP, rows, values, write
+
+from softmap_edge.errors import RunError
+from softmap_edge.logs.guess import guess_mapping
+from softmap_edge.logs.importer import import_logs
+from softmap_edge.logs.mapping import parse_mapping
+from softmap_edge.logs.readers.text import TextColumns
+
+SPANS = [(0, 20), (20, 12), (32, 8)]  # first row and number of rows of each part
+
+
+def iso(k):
+    return f"2031-05-07T10:15:{STEP * k:09.6f}Z"
+
+
+def date_and_day(k):
+    """The time 1.05 s before midnight of row 0: the parts lie on two days."""
+    left = 1.05 - STEP * k
+    if left > 1e-9:
+        return f"2031-05-07,23:59:{60 - left:06.3f}"
+    return f"2031-05-08,00:00:{-left + 0:06.3f}"
+
+
+def sec_and_nanosec(k):
+    full, rest = divmod(round(STEP * k * 1e9) + 500_000_000, 10**9)
+    return f"{1700000000 + full},{rest}"
+
+
+FORMS = {
+    "numbered": (["part_1.csv", "part_2.csv", "part_3.csv"], "time", None, ","),
+    "in letters": (["run-a.csv", "run-b.csv", "run-c.csv"], "time", None, ","),
+    "no common name": (["z.txt", "morning.csv", "afternoon.dat"], "time", None, ","),
+    "with brackets": (["log[1].csv", "log[2].csv", "log[3].csv"], "time", iso, ","),
+    "a date and a time of day": (["b2.csv", "b10.csv", "b9.csv"], "date,clock", date_and_day, ","),
+    "seconds and nanoseconds": (["s_0.csv", "s_1.csv", "s_2.csv"], "stamp.sec,stamp.nanosec", sec_and_nanosec, ","),
+    "tabs": (["t0.tsv", "t1.tsv", "t2.tsv"], "time", None, "\t"),
+}
+
+
+def parts(folder, form, spans=SPANS):
+    names, clock, time, cut = FORMS[form]
+    head = cut.join([clock, *NAMES[1:]])
+    return [
+        write(folder / name, head, rows(count, cut, time=time, first=first))
+        for name, (first, count) in zip(names, spans)
+    ]
+
+
+def imported(paths, text):
+    return import_logs(paths, parse_mapping(text, Path("map.toml")))
+
+
+def complete(run):
+    assert run.t - run.t[0] == pytest.approx(STEP * np.arange(40), abs=1e-6)
+    assert run.command == pytest.approx(np.array([values(k)[:2] for k in range(40)]), abs=6e-4)
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_the_proposal_for_parts_is_one_log_in_the_order_of_time(tmp_path, form):
+    files = parts(tmp_path, form)
+    for paths in (files, files[::-1]):
+        found = guess_mapping(paths)
+        assert any("they are parts of one log" in line for line in found.assumed)
+        assert found.text.count("[[log]]") == 1
+        done = imported(paths, found.text)
+        complete(done.run)
+        assert not any("cannot be imported" in line for line in found.said)
+        named = ", ".join(path.name for path in files)
+        assert any(f"3 parts read one after another: {named}; the longest pause between two is 0.05 s" in note
+                   for note in done.notes)  # fmt: skip
+        assert len(done.run.extra["made_from"]) == 3
+
+
+@pytest.mark.parametrize(("form", "logs"), [("numbered", 2), ("in letters", 2), ("no common name", 4)])
+def test_the_parts_and_another_log_have_logs_of_their_own(tmp_path, form, logs):
+    files = parts(tmp_path, form)
+    camera = write(tmp_path / "nx.csv", "time,load", [f"{STEP * k:.3f},{k % 7}" for k in range(40)])
+    found = guess_mapping([*files, camera])
+    assert found.text.count("[[log]]") == logs
+    done = imported([*files, camera], found.text)
+    complete(done.run)
+    assert done.run.load == pytest.approx(np.arange(40) % 7)
+
+
+@pytest.mark.parametrize("pattern", ['file = "part_*.csv"', 'file = "*"', ""])
+def test_a_mapping_takes_parts_by_a_pattern_or_none(tmp_path, pattern):
+    text = (
+        f'schema = "softmap.mapping/1"\n[[log]]\n{pattern}\ntime = {{ column = "time" }}\n'
+        'command = { columns = ["cmd_1", "cmd_2"] }'
+    )
+    complete(imported(parts(tmp_path, "numbered"), text).run)
+
+
+@pytest.mark.parametrize("form", ["date,clock", "stamp.sec,stamp.nanosec"])
+def test_the_order_is_by_all_columns_of_the_clock(tmp_path, form):
+    time = date_and_day if form == "date,clock" else sec_and_nanosec
+    head = ",".join([form, *NAMES[1:]])
+    # within one day, and within one second, the first column does not order the parts
+    later = write(tmp_path / "a.csv", head, rows(3, time=time, first=5))
+    earlier = write(tmp_path / "b.csv", head, rows(5, time=time))
+    columns = ", ".join(f'"{name}"' for name in form.split(","))
+    text = (
+        f'schema = "softmap.mapping/1"\n[[log]]\ntime = {{ columns = [{columns}] }}\n'
+        'command = { columns = ["cmd_1", "cmd_2"] }'
+    )
+    done = imported([later, earlier], text)
+    assert np.diff(done.run.t) == pytest.approx(STEP, abs=1e-6)
+    assert any("b.csv, a.csv; the longest pause between two is 0.05 s" in note for note in done.notes)
+
+
+def test_each_part_is_read_once(tmp_path, monkeypatch):
+    paths = parts(tmp_path, "numbered")
+    read, count = TextColumns.read, []
+    monkeypatch.setattr(TextColumns, "read", lambda *args: count.append(args[0].path.name) or read(*args))
+    text = 'schema = "softmap.mapping/1"\n[[log]]\ntime = { column = "time" }\ncommand = { columns = ["cmd_1"] }'
+    assert len(imported(paths, text).run.t) == 40
+    assert sorted(count) == ["part_1.csv", "part_2.csv", "part_3.csv"]
+
+
+def test_packed_parts_and_arrays_are_parts_as_well(tmp_path):
+    for path in parts(tmp_path, "numbered"):
+        (tmp_path / f"{path.name}.gz").write_bytes(gzip.compress(path.read_bytes()))
+    packed = sorted(tmp_path.glob("*.gz"))
+    found = guess_mapping(packed)
+    assert 'file = "part_*.csv.gz"' in found.text
+    complete(imported(packed, found.text).run)
+    for k, (first, count) in enumerate(SPANS):
+        table = np.array([values(row) for row in range(first, first + count)])
+        t = STEP * np.arange(first, first + count)
+        np.savez(tmp_path / f"p{k}.npz", t=t, cmd=table[:, :2], markers=table[:, None, 2:])
+    arrays = sorted(tmp_path.glob("p?.npz"))
+    found = guess_mapping(arrays)
+    assert 'file = "p*.npz"' in found.text
+    complete(imported(arrays, found.text).run)
+
+
+@pytest.mark.parametrize("form", ["numbered", "in letters", "a date and a time of day", "seconds and nanoseconds"])
+@pytest.mark.parametrize("second", [(0, 25), (15, 20)])
+def test_logs_that_overlap_are_no_parts_and_the_way_out_is_to_join_runs(tmp_path, form, second):
+    paths = parts(tmp_path, form, [(0, 20), second])
+    found = guess_mapping(paths)
+    assert any("overlap in time" in line and "`softmap run join`" in line for line in found.said)
+    line = next(line for line in found.text.split("\n") if line.startswith("time = "))
+    text = f'schema = "softmap.mapping/1"\n[[log]]\n{line}\ncommand = {{ columns = ["cmd_1", "cmd_2"] }}'
+    with pytest.raises(RunError, match="overlap in time .* s and begins at .* import each by itself.*softmap run join"):
+        imported(paths, text)
+    assert len(imported(paths[:1], text).run.t) == 20
+
+
+def test_files_without_a_column_are_named_and_are_no_parts(tmp_path):
+    one = parts(tmp_path, "numbered")[0]
+    other = write(tmp_path / "camera.csv", "time,m_x,m_y,m_z", "9,1,2,3", "10,1,2,4", "11,1,2,5")
+    text = (
+        'schema = "softmap.mapping/1"\n[[log]]\ntime = { column = "time" }\ncommand = { columns = ["cmd_1", "cmd_2"] }'
+    )
+    with pytest.raises(RunError, match="camera.csv has no column cmd_1.*give exactly one, or change `file`"):
+        imported([one, other], text)
+    found = guess_mapping([one, other])
+    assert not any("parts of one log" in line for line in found.assumed)
+
+
+def test_logs_of_other_things_with_the_same_names_stay_apart(tmp_path):
+    goals = write(tmp_path / "goals.csv", [f"{STEP * k:.2f},{k % 9},{k % 7}" for k in range(40)])
+    seen = write(tmp_path / "seen.csv", [f"{STEP * k:.2f},{k % 5},{k % 3}" for k in range(40)])
+    text = (
+        'schema = "softmap.mapping/1"\n[[log]]\nheader = false\ntime = { column = 0 }\ncommand = { columns = [1, 2] }'
+    )
+    with pytest.raises(RunError, match="overlap in time"):
+        imported([goals, seen], text)
+
+
+def test_only_time_puts_parts_in_order(tmp_path):
+    text = 'schema = "softmap.mapping/1"\n[[log]]\ntime = "none"\ncommand = { columns = ["cmd_1", "cmd_2"] }'
+    with pytest.raises(RunError, match="3 of the given files fit"):
+        imported(parts(tmp_path, "numbered"), text)
