@@ -130,11 +130,11 @@ def _without_shifts(table: LogTable, markers: Quantity, doubts: list[str]) -> Lo
     if found is None:
         return table
     if markers.swaps == "mend":
-        doubts.append(found.line(markers.labels, "mended: each place is in the column of its marker"))
+        doubts += found.lines(markers.labels, "mended: each place is in the column of its marker")
         return _with_numbers(table, markers.columns, found.mended(points))
     points[found.wrong] = np.nan
     remedy = 'they are taken as not seen; markers.swaps = "mend" puts them into the columns of their markers'
-    doubts.append(found.line(markers.labels, remedy))
+    doubts += found.lines(markers.labels, remedy)
     return _with_numbers(table, markers.columns, points)
 
 
