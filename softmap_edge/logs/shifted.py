@@ -88,7 +88,7 @@ def find_shifted(points: Array) -> Shifted | None:
     number, first = seen.sum(axis=1), _first_of(points)
     twice = np.asarray((first != column).any(axis=1))
     listed = (seen == (column < number[:, None])).all() or (seen == (column >= count - number[:, None])).all()
-    doubtful = twice | (listed & (number > 0) & (number < count))
+    doubtful = np.asarray(twice | (listed & (number > 0) & (number < count)))
     full = np.flatnonzero((number == count) & ~twice)
     if not doubtful.any() or not (len(full) or twice.any()):
         return None
