@@ -2,7 +2,8 @@
 
 An MCAP file that was closed ends with a summary (how many messages, where the chunks are), a footer and the magic
 bytes. CRC-32 checksums of the data section and of the summary are there unless they are 0. A file that was cut has no
-end. After bytes that are no record the walk goes on at the next chunk. This module needs no package. Pinned by
+end. After bytes that are no record the walk goes on at the next chunk. A disk that lost its last blocks leaves zeros:
+a record that ends in them and has no checksum of its own is no record. This module needs no package. Pinned by
 tests/test_mcap_damage.py.
 
 Source of the format: MCAP, Foxglove, https://mcap.dev/spec.
@@ -191,7 +192,7 @@ class Walk:
         at = len(MAGIC)
         while at < self._end:
             record = self._record(at)
-            if record is None:
+            if record is None or self._ends_in_zeros(record):
                 begin, at = at, self._next_chunk(at + 1, self._end)
                 self.gaps.append((begin, at))
                 continue
@@ -217,6 +218,14 @@ class Walk:
                 return None
             self.odd += kind > DATA_END
         return Record(kind, at, end)
+
+    def _ends_in_zeros(self, record: Record) -> bool:
+        """Return whether a record ends in zeros that go on after it, or with a cut file, and has no checksum."""
+        if record.kind not in (SCHEMA, CHANNEL, MESSAGE, CHUNK) or not record.body.endswith(b"\0"):
+            return False
+        if record.kind == CHUNK and ((chunk := read_chunk(record.body)).crc != 0 or chunk.compression):
+            return False  # it is checked when it is unpacked
+        return _piece(self._file, record.end, 1) in (b"", b"\0")  # no record is of kind 0
 
     def _next_chunk(self, at: int, end: int) -> int:
         """Return where the next chunk begins whose lengths agree, from `at` on; `end` where there is none."""

@@ -216,6 +216,23 @@ def test_points_far_from_the_base_are_told_to_be_aligned():
     assert not any("align" in note for note in summary(framed)["warnings"])
 
 
+@pytest.mark.parametrize("rate", [1.0, 5.0, 20.0])
+@pytest.mark.parametrize("gap", [30.0, 600.0, 3600.0])
+def test_a_gap_in_the_frames_is_no_rest(rate, gap):
+    """Nothing was seen in it; a rest that was seen counts."""
+    t = np.arange(0, 60, 1 / rate)
+    u = np.column_stack([6 + 5 * np.sin(1.5 * t), 6 + 5 * np.cos(1.5 * t)])
+    t = t + gap * (np.arange(len(t)) >= len(t) // 2)
+    points = np.random.default_rng(0).normal(size=(len(t), 3, 3)) + 5 * u[:, :1, None]
+    rest = {
+        word["about"]: word["text"] for word in summary(Run(t=t, command=u, t_seen=t, markers=points))["cannot_tell"]
+    }
+    assert "it is seen to rest for" in rest["dwell"]
+    u[(t > 10) & (t < 25)] = (11.0, 6.0)
+    found = {word["about"]: word["text"] for word in summary(Run(t=t, command=u, t_seen=t, markers=points))["can_tell"]}
+    assert "it is seen to rest away from home for up to 1" in found["dwell"]
+
+
 def test_visits_of_home_without_a_dwell_between_are_counted():
     t = np.arange(0, 60, 0.05)
     u = np.where((t % 10) < 6, 0.0, 8 * np.sin(np.pi * ((t % 10) - 6) / 4))  # six homes, never at rest elsewhere

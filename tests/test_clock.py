@@ -111,11 +111,124 @@ def test_a_clock_that_was_set_forward_is_a_look_at_and_a_pause_is_not(tmp_path):
     assert not any("leaps" in doubt for doubt in imported(far).doubts)
 
 
-def test_two_steps_are_not_mended(tmp_path):
-    t = 1000 + STEP * np.arange(COUNT)
-    t[100:] -= 60
-    t[200:] -= 60
-    assert "set back" not in fault(log(tmp_path, t)) and "goes backwards" in fault(log(tmp_path, t), ', jumps = "mend"')
+def body(k, noise=0.05, speed=1.0, seed=0):
+    """Two commands and three markers (K, 11) of a finger with noise; the lowest marker hardly moves."""
+    a = np.c_[np.sin(0.09 * speed * k), np.cos(0.07 * speed * k)]
+    places = [np.c_[60 * h**2 * a, 100 * h + 0 * k] for h in (0.1, 0.5, 1.0)]
+    return np.c_[5 * a, np.concatenate(places, axis=1) + noise * np.random.default_rng(seed).normal(size=(len(k), 9))]
+
+
+BODY = """schema = "softmap.mapping/1"
+[[log]]
+time = { column = "t"%s }
+command = { columns = ["a", "b"] }
+markers = { columns = [["x0", "y0", "z0"], ["x1", "y1", "z1"], ["x2", "y2", "z2"]], unit = "mm" }
+"""
+
+
+def of_body(folder, t, values, keys="", more=""):
+    path = folder / "log.csv"
+    lines = [",".join([f"{s:.3f}", *(f"{x:.4f}" for x in row)]) for s, row in zip(t, values)]
+    path.write_text("\n".join(["t,a,b,x0,y0,z0,x1,y1,z1,x2,y2,z2", *lines]) + "\n")
+    return import_logs([path], parse_mapping((BODY % keys).replace("[[log]]", f"[[log]]\n{more}"), path))
+
+
+ROW = np.arange(COUNT)
+EPOCH = 1774746000 + STEP * ROW
+SET_FORWARD = {
+    "noise": (EPOCH + 3600 * (ROW >= 150), body(ROW)),
+    "much noise": (EPOCH + 3600 * (ROW >= 150), body(ROW, noise=1.0)),
+    "slow": (EPOCH + 86400 * (ROW >= 97), body(ROW, speed=0.3)),
+    "near the beginning": (EPOCH + 5.0 * (ROW >= 12), body(ROW, noise=0)),
+    "twice": (EPOCH + 3600 * (ROW >= 80) + 60 * (ROW >= 200), body(ROW)),
+    "a slow clock": (10 * EPOCH + 4e4 * (ROW >= 150), body(ROW, seed=3)),
+}
+STOOD = np.r_[np.arange(150), np.full(60, 149), 149 + np.arange(90)]
+PAUSED = {
+    "elsewhere": (EPOCH + 3600 * (ROW >= 150), body(ROW + 17 * (ROW >= 150))),
+    "elsewhere with much noise": (EPOCH + 3600 * (ROW >= 150), body(ROW + 17 * (ROW >= 150), noise=1.0)),
+    "at rest": (EPOCH + 3600 * (ROW >= 180), body(STOOD)),
+    "at rest without noise": (EPOCH + 3600 * (ROW >= 180), body(STOOD, noise=0)),
+    "it never moves": (EPOCH + 3600 * (ROW >= 150), body(0 * ROW)),
+    "a short gap": (EPOCH + 0.4 * (ROW >= 150), body(ROW)),
+}
+
+
+@pytest.mark.parametrize("name", list(SET_FORWARD))
+def test_a_leap_after_which_the_values_go_on_is_a_clock_that_was_set(tmp_path, name):
+    t, values = SET_FORWARD[name]
+    leaps = [doubt for doubt in of_body(tmp_path, t, values).doubts if "leaps" in doubt]
+    rows = np.flatnonzero(np.diff(t) > 100 * np.median(np.diff(t)) - 1e-6) + 1
+    assert len(leaps) == len(rows) and all(f"at row {k} (line {k + 2})" in leap for k, leap in zip(rows, leaps))
+    done = of_body(tmp_path, t, values, ', jumps = "mend"')
+    assert np.diff(done.run.t) == pytest.approx(np.median(np.diff(t)), abs=1e-3)
+    assert sum("was set by" in doubt for doubt in done.doubts) == len(rows)
+
+
+@pytest.mark.parametrize("name", list(PAUSED))
+def test_a_pause_is_no_clock_that_was_set(tmp_path, name):
+    t, values = PAUSED[name]
+    done = of_body(tmp_path, t, values, ', jumps = "mend"')
+    assert done.run.t[-1] - done.run.t[0] == pytest.approx(t[-1] - t[0])
+    assert not any("leaps" in doubt for doubt in of_body(tmp_path, t, values).doubts)
+
+
+SET_BACK = {
+    "twice": (EPOCH - 3.2 * (ROW >= 150) - 2.1 * (ROW >= 225), (150, 225)),
+    "three times": (EPOCH - 60 * (ROW >= 50) - 60 * (ROW >= 100) - 0.7 * (ROW >= 260), (50, 100, 260)),
+    "seven times": (EPOCH - 1.5 * (ROW // 40), tuple(range(40, COUNT, 40))),
+    "back, and forward again": (EPOCH - 3600.0 * ((ROW >= 100) & (ROW < 200)) - 9 * (ROW >= 250), (100, 250)),
+}
+
+
+@pytest.mark.parametrize("name", list(SET_BACK))
+@pytest.mark.parametrize("rests", [False, True])
+def test_a_clock_that_was_set_back_several_times_is_mended_step_by_step(tmp_path, name, rests):
+    t, rows = SET_BACK[name]
+    values = body(ROW) if not rests else body(np.clip(ROW, 0, 40), noise=0)
+    with pytest.raises(RunError) as found:
+        of_body(tmp_path, t, values)
+    message = str(found.value)
+    assert (
+        f"set back {len(rows)} times" in message and f"goes backwards at row {rows[0]} (line {rows[0] + 2}" in message
+    )
+    assert "order of time" not in message and f"to_row = {rows[0] - 1}; from_row = {rows[0]} with" in message
+    if not rests or "forward" not in name:
+        done = of_body(tmp_path, t, values, ', jumps = "mend"')
+        assert np.diff(done.run.t) == pytest.approx(STEP, abs=1e-3)
+
+
+def test_row_numbers_are_those_of_the_log_whatever_was_cut_off(tmp_path):
+    """The parts that a message proposes can be imported, all of them."""
+    t, rows = SET_BACK["three times"]
+    with pytest.raises(RunError, match=r"goes backwards at row 100 \(line 102.*to_row = 99; from_row = 100 with"):
+        of_body(tmp_path, t, body(ROW), more="from_row = 50")
+    with pytest.raises(RunError, match=r"at row 260 \(line 262.*to_row = 259 and from_row = 260"):
+        of_body(tmp_path, t, body(ROW), more="from_row = 100")
+    for first, last in zip((0, *rows), (*rows, COUNT)):
+        done = of_body(tmp_path, t, body(ROW), more=f"from_row = {first}\nto_row = {last - 1}")
+        assert len(done.run.t) == last - first
+    forward = EPOCH + 3600 * (ROW >= 150)
+    done = of_body(tmp_path, forward, body(ROW), more="from_row = 60")
+    assert any("at row 150 (line 152)" in doubt and "to_row = 149" in doubt for doubt in done.doubts)
+
+
+OUT_OF_ORDER = {
+    "stamps of zero": np.where(np.isin(ROW, (100, 200)), 0.0, EPOCH),
+    "late rows": EPOCH - 0.4 * np.isin(ROW, (70, 71, 150)),
+    "blocks that changed places": np.r_[EPOCH[:100], EPOCH[150:200], EPOCH[100:150], EPOCH[200:]],
+}
+
+
+@pytest.mark.parametrize("name", list(OUT_OF_ORDER))
+def test_rows_out_of_order_are_no_clock_that_was_set(tmp_path, name):
+    t = OUT_OF_ORDER[name]
+    values = body(ROW)[np.argsort(np.argsort(t))] if "blocks" in name else body(ROW)
+    t = t if "blocks" not in name else np.r_[t, EPOCH[-1] + STEP * np.arange(1, 61) - 4]
+    values = values if "blocks" not in name else np.r_[values, body(np.arange(60) + 7)]
+    with pytest.raises(RunError) as found:
+        of_body(tmp_path, t, values)
+    assert "times" not in str(found.value).split("such rows")[1].split("leave")[0]
 
 
 # --- dropping and spreading ----------------------------------------------------------------

@@ -22,7 +22,7 @@ from softmap_edge.cli import main
 from softmap_edge.errors import RecordingWarning, RunError
 from softmap_edge.logs.importer import import_logs, read_mapping
 from softmap_edge.logs.readers.mcap_file import open_mcap, topics
-from softmap_edge.mcap_records import CHUNK, MAGIC, MESSAGE_INDEX, Walk, read_closing
+from softmap_edge.mcap_records import CHUNK, MAGIC, MESSAGE, MESSAGE_INDEX, Walk, read_closing
 
 
 def bag(folder, compression="zstd", frames=600, name="run.mcap"):
@@ -157,6 +157,40 @@ def test_a_cut_file_is_read_as_far_as_it_is_good_whatever_follows(tmp_path, tail
         path, rf"run.mcap was cut short: it is read up to 2\.\d\d s; .*\d+ of {path.stat().st_size} bytes cannot"
     )
     assert is_part_of(run, good) and 200 < len(run.t) < 300
+
+
+BARE = {
+    "no chunks": {"use_chunking": False},
+    "no chunks, no checksums": {"use_chunking": False, "enable_crcs": False},
+    "no chunks, a checksum of the data": {"use_chunking": False, "enable_data_crcs": True},
+    "chunks without checksums": {"enable_crcs": False},
+}
+
+
+@pytest.mark.parametrize("rest", ["zeros to the end", "cut in the zeros", "cut where the message ends"])
+@pytest.mark.parametrize("make", list(BARE))
+def test_a_message_that_runs_into_zeros_is_left_out(tmp_path, make, rest):
+    """A disk that lost its last blocks; the messages before are right, and no number changes."""
+    path = goals(tmp_path / "run.mcap", **BARE[make])
+    good, data = open_mcap(path, "/goal").numbers, path.read_bytes()
+    last = records(path, CHUNK if "chunks with" in make else MESSAGE)[-2]
+    for back in (1, 5, 8, 13, 40, 90):
+        zero = {"zeros to the end": len(data), "cut in the zeros": last.end + 7, "cut where the message ends": last.end}
+        path.write_bytes(data[: last.end - back] + bytes(zero[rest] - last.end + back))
+        with pytest.warns(RecordingWarning, match="was cut short"):
+            some = open_mcap(path, "/goal").numbers
+        assert 0 < len(some) < 300 and np.array_equal(some, good[: len(some)])
+
+
+def test_only_the_message_at_the_zeros_is_left_out(tmp_path):
+    path = goals(tmp_path / "run.mcap", use_chunking=False)
+    data, messages = path.read_bytes(), records(path, MESSAGE)
+    path.write_bytes(data[: messages[200].start + 30] + bytes(4096))
+    with pytest.warns(RecordingWarning):
+        assert len(open_mcap(path, "/goal").numbers) == 200
+    path.write_bytes(data[: messages[200].start + 30])
+    with pytest.warns(RecordingWarning):
+        assert len(open_mcap(path, "/goal").numbers) == 200
 
 
 def test_damage_amid_a_cut_file_loses_that_chunk(tmp_path):

@@ -13,12 +13,13 @@ K = 300
 T = np.arange(K) * 0.02
 
 
-def markers(count=5, noise=0.05, seed=0):
+def markers(count=5, noise=0.05, seed=0, digits=None):
     """Markers (K, M, 3) mm up a finger that bends."""
     rng = np.random.default_rng(seed)
     s = np.linspace(1 / count, 1, count)
     points = np.stack([np.c_[30 * a**2 * np.sin(T), 10 * a**2 * np.cos(T), 100 * a + 0 * T] for a in s], axis=1)
-    return points + noise * rng.normal(size=points.shape)
+    points = points + noise * rng.normal(size=points.shape)
+    return points if digits is None else np.round(points, digits)
 
 
 def listed(points, lost):
@@ -79,6 +80,75 @@ def test_markers_that_move_too_far_between_frames_are_not_judged():
     rows, _ = listed(points, np.arange(len(points))[:, None] % 2 * (np.arange(5) == 1) > 0)
     found = find_shifted(rows + 80 * np.random.default_rng(0).normal(size=(len(rows), 1, 3)))
     assert found is None or found.wrong.sum() <= 8
+
+
+def repeated_last(points, lost):
+    """A list whose empty cells repeat its last place."""
+    rows, shows = listed(points, lost)
+    for k in range(len(rows)):
+        n = int((~lost[k]).sum())
+        rows[k, n:] = rows[k, n - 1]
+    return rows, shows
+
+
+def empty_first(points, lost):
+    """A list whose empty cells come first."""
+    rows, shows = listed(points[:, ::-1], lost[:, ::-1])
+    return rows[:, ::-1], points.shape[1] - 1 - shows[:, ::-1]
+
+
+@pytest.mark.parametrize("name", list(LOST))
+@pytest.mark.parametrize("make", [repeated_last, empty_first])
+@pytest.mark.parametrize("count", [2, 4, 5])
+def test_other_lists_that_get_shorter(make, name, count):
+    points, lost = markers(count, digits=3), LOST[name][:, :count]
+    lost[lost.all(axis=1)] = False
+    if not lost.any():
+        return
+    rows, _ = make(points, lost)
+    right = (rows == points).all(axis=2)
+    found = find_shifted(rows)
+    wrong = np.isfinite(rows).all(axis=2) & ~right
+    assert (found is not None) == wrong.any()
+    if found is not None:
+        assert np.array_equal(found.wrong & np.isfinite(rows).all(axis=2), wrong)
+        assert np.array_equal(found.mended(rows), np.where(lost[..., None], np.nan, points), equal_nan=True)
+
+
+@pytest.mark.parametrize("pair", [(2, 3), (3, 2), (0, 4), (4, 0), (1, 0)])
+@pytest.mark.parametrize("rows", [np.s_[50:90], np.s_[::7], np.s_[:30], np.s_[100:101]])
+def test_two_markers_at_one_place_are_one_measurement(pair, rows):
+    points = markers(digits=3)
+    lost, other = pair
+    merged = points.copy()
+    merged[rows, lost] = merged[rows, other]
+    found = find_shifted(merged)
+    expected = np.zeros((K, 5), bool)
+    expected[rows, lost] = True
+    assert np.array_equal(found.wrong, expected) or (
+        rows == np.s_[:30] and found.wrong[:30, list(pair)].any(axis=1).all()
+    )
+    (line,) = found.lines("abcde", "")
+    assert f"{expected.any(axis=1).sum()} of 300 frames give two markers one place" in line and "abcde"[lost] in line
+
+
+def test_markers_that_are_always_at_one_place():
+    points = markers(digits=3)
+    points[:, 3] = points[:, 2]
+    assert find_shifted(points).wrong.sum(axis=0).tolist() == [0, 0, 0, K, 0]
+
+
+def test_markers_that_round_to_one_place_stay():
+    """Coarse digits, a resting finger, a plane, and a marker at the origin."""
+    near = markers(12, digits=0)
+    near[:, 1] = np.round(near[:, 0] + np.random.default_rng(0).normal(size=(K, 3)) * 0.5)
+    assert (near[:, 0] == near[:, 1]).all(axis=1).any() and find_shifted(near) is None
+    for digits in (0, 1, 3):
+        rest = np.repeat(markers(digits=digits)[:1], K, axis=0)
+        plane = markers(digits=digits)
+        plane[..., 1] = 0.0
+        base = np.concatenate([np.zeros((K, 1, 3)), markers(digits=digits)], axis=1)
+        assert find_shifted(rest) is find_shifted(plane) is find_shifted(base) is None
 
 
 def written(folder, rows, fill):

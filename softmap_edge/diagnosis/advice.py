@@ -33,6 +33,7 @@ MOVING = 15  # frames seen in motion, below which delays are guessed
 SLOW = 0.1  # of the range a second: a tenth of a second of delay is then a hundredth of it
 SPEEDS = 2.0  # ratio of fast to slow below which delay and play look alike
 DWELL = 5.0  # s of rest that shows creep
+GAP_SAMPLES, GAP_S = 10.0, 1.0  # usual steps, and s, beyond which nothing was seen between two frames
 MINORITY = 0.1  # of the frames reached from the rarer side
 TOGETHER = 0.95  # correlation from which two channels are one
 PAIRS = 4  # of such channels that are named
@@ -296,13 +297,22 @@ def _speed(u: Floats, state: Conditions) -> Word:
 
 def _dwell(state: Conditions) -> Word:
     away = ~(np.abs(state.command).max(axis=1) <= 0.1 * np.abs(state.command).max())
-    longest = float(state.dwell[away & ~state.moving].max(initial=0.0))
+    longest = float(np.minimum(state.dwell, _since_gap(state.time))[away & ~state.moving].max(initial=0.0))
     if longest >= DWELL:
         return Word("dwell", True, f"creep vs. play: it is seen to rest away from home for up to {longest:.0f} s")
     return Word(
         "dwell", False, f"creep vs. play: away from home it is seen to rest for {longest:.1f} s at most",
         "a staircase: half, full, half the range, and rest 7 s on each step, five frames each", 2.0,
     )  # fmt: skip
+
+
+def _since_gap(t: Floats) -> Floats:
+    """Return the time (K,) s since the last gap in the frames: what happened in a gap was not seen."""
+    if len(t) < 2:
+        return np.zeros(len(t))
+    step = np.diff(t)
+    gap = np.r_[True, step > max(GAP_S, GAP_SAMPLES * float(np.median(step)))]
+    return np.asarray(t - np.maximum.accumulate(np.where(gap, t, t[0])))
 
 
 def _direction(state: Conditions) -> Word:

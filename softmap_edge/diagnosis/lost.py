@@ -47,7 +47,7 @@ def lost_points(run: Run, remedy: str = REMEDY) -> tuple[Mask, list[str]]:
     raw[mask] = np.nan
     shifted = find_shifted(raw) if raw.shape[2] > 1 else None
     if shifted is not None:
-        mask, lines = mask | shifted.wrong, [*lines, shifted.line(names, remedy)]
+        mask, lines = mask | shifted.wrong, [*lines, *shifted.lines(names, remedy)]
     return mask, lines
 
 

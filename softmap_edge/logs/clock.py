@@ -4,7 +4,7 @@ A clock that runs backwards is classified:
 
 - a *roll-over* falls by 2^16, 2^24 or 2^32 of a unit (or of the counter), or at the full minute, hour or day, so that
   one step of the usual size explains it; `time.jumps = "mend"` counts on;
-- a *step* is one fall (or leap) of a clock that was set; `"mend"` removes it if it is the only one, and `from_row` and
+- a *step* is a fall (or leap) of a clock that was set (`set_clock.py`); `"mend"` removes each, and `from_row` and
   `to_row` cut the log there;
 - rows *out of order* are few; `time.repeated = "drop"` leaves them out, and is offered only if it loses few rows.
 
@@ -13,6 +13,7 @@ Pinned by tests/test_clock.py.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -21,6 +22,7 @@ from numpy.typing import NDArray
 
 from softmap_edge.errors import RunError
 from softmap_edge.logs.readers.columns import Array, Cells
+from softmap_edge.logs.set_clock import Jump, both, set_back, set_forward, usual_step
 from softmap_edge.logs.time_keys import TIME, Clock
 from softmap_edge.logs.time_text import DAY, HOUR
 from softmap_edge.time_digits import differing
@@ -29,8 +31,7 @@ FEW = 0.05  # of the rows: the most that may be left out without a warning
 _REGULAR = 0.2  # of the usual step: bound on the jitter of a clock
 _SLOWEST = 3.0  # times the 95th percentile of the steps: the longest step that a roll-over may leave
 _BITS = (16, 24, 32)
-_LEAP = 50.0  # times the 95th percentile of the steps: from here on a step forward is a pause or a clock that was set
-_NEAR = 20  # rows on either side that show how far values move from row to row
+_LISTED = 5  # steps of a clock that are named one by one
 
 
 @dataclass(frozen=True)
@@ -49,24 +50,7 @@ class Times:
     doubts: tuple[str, ...]
 
 
-@dataclass(frozen=True)
-class Jump:
-    """Where a clock falls or leaps.
-
-    Attributes:
-        rows: the first row after each fall.
-        size_s: s by which time changes there, against the row before.
-        period_s: period (s) of a clock that rolls over; None for a clock that was set.
-        period: the period as text.
-    """
-
-    rows: NDArray[np.int64]
-    size_s: Array
-    period_s: float | None
-    period: str = ""
-
-
-def times_of(path: Path, where: str, cells: Cells, t: Array, clock: Clock) -> Times:
+def times_of(path: Path, where: str, cells: Cells, t: Array, clock: Clock, clocks: Sequence[int] = ()) -> Times:
     """Return the times of the rows of a log.
 
     Args:
@@ -75,6 +59,7 @@ def times_of(path: Path, where: str, cells: Cells, t: Array, clock: Clock) -> Ti
         cells: the requested columns.
         t: (rows,) s as in the log; NaN where there is none.
         clock: the time declared by the mapping.
+        clocks: which of these columns hold time.
 
     Raises:
         RunError: a row has values and no time, or time does not increase and the mapping does not declare how to
@@ -82,7 +67,11 @@ def times_of(path: Path, where: str, cells: Cells, t: Array, clock: Clock) -> Ti
     """
     notes: list[str] = []
     doubts: list[str] = []
-    row = np.arange(len(t))
+
+    def values(cells: Cells) -> Array:
+        return np.delete(cells.numbers, list(clocks), axis=1)
+
+    row = np.arange(len(t)) if cells.rows is None else cells.rows
     empty = ~np.isfinite(t)
     if empty.any():
         if not np.isnan(cells.numbers[empty]).all():
@@ -97,33 +86,43 @@ def times_of(path: Path, where: str, cells: Cells, t: Array, clock: Clock) -> Ti
         notes.append(f"{int(again.sum())} rows that repeat the row before, time and all, were left out")
         t, cells, row = t[~again], kept(cells, ~again), row[~again]
     if clock.jumps == "mend":
-        t = _mended(t, cells, clock, row, notes, doubts)
+        t = _mended(t, values(cells), clock, row, notes, doubts)
     if clock.repeated == "drop" and len(t) > 1:
         fresh = increasing(t)
         if not fresh.all():
-            _report_dropped(t, fresh, row, clock, notes, doubts)
+            _report_dropped(t, fresh, row, find_steps(t, values(cells), clock), notes, doubts)
             t, cells, row = t[fresh], kept(cells, fresh), row[fresh]
-    _refuse_falls(path, where, t, cells, row, clock)
+    _refuse_falls(path, where, t, values(cells), cells.lines, row, clock)
     if clock.repeated == "spread" and (shared := int((np.diff(t) == 0).sum())):
         doubts.append(
             f"t: {shared} of {len(t)} rows share a time with the row before and were spread evenly: these times are "
             "made up, and delays shorter than the clock's step cannot be identified"
         )
         t = spread(t)
-    if clock.jumps != "mend" and (leap := set_forward(t, cells, clock)) is not None:
-        at = int(leap.rows[0])
-        doubts.append(
-            f"t: time leaps by {leap.size_s[0]:.6g} s at row {row[at]} ({where} {cells.lines[at]}), and the values go "
-            'on as if none had passed: a clock that was set forward? time.jumps = "mend" takes the step out; to_row = '
-            f"{row[at] - 1} and from_row = {row[at]} cut the log in two"
-        )
+    if clock.jumps != "mend":
+        doubts += _leaps(where, cells, row, set_forward(t, values(cells)))
     return Times(t, cells, (*notes, *_gaps(where, t, cells)), tuple(doubts))
 
 
 def kept(cells: Cells, keep: NDArray[np.bool_]) -> Cells:
     """Return the rows (rows,) to `keep`."""
     labels = None if cells.labels is None else cells.labels[keep]
-    return replace(cells, numbers=cells.numbers[keep], labels=labels, lines=cells.lines[keep])
+    rows = None if cells.rows is None else cells.rows[keep]
+    return replace(cells, numbers=cells.numbers[keep], labels=labels, lines=cells.lines[keep], rows=rows)
+
+
+def _leaps(where: str, cells: Cells, row: NDArray[np.int64], leap: Jump | None) -> list[str]:
+    """Return sentences on the leaps of a clock that was set forward."""
+    told = []
+    for at, size in () if leap is None else zip(leap.rows[:_LISTED], leap.size_s):
+        told.append(
+            f"t: time leaps by {size:.6g} s at row {row[at]} ({where} {cells.lines[at]}), and the values go "
+            'on as if none had passed: a clock that was set forward? time.jumps = "mend" takes the step out; to_row = '
+            f"{row[at - 1]} and from_row = {row[at]} cut the log in two"
+        )
+    if leap is not None and len(leap.rows) > _LISTED:
+        told.append(f"t: time leaps in the same way at {len(leap.rows) - _LISTED} more rows")
+    return told
 
 
 def increasing(t: Array) -> NDArray[np.bool_]:
@@ -143,14 +142,19 @@ def _written_twice(t: Array, cells: Cells) -> NDArray[np.bool_]:
 
 
 def _report_dropped(
-    t: Array, fresh: NDArray[np.bool_], row: NDArray[np.int64], clock: Clock, notes: list[str], doubts: list[str]
+    t: Array,
+    fresh: NDArray[np.bool_],
+    row: NDArray[np.int64],
+    jump: Jump | None,
+    notes: list[str],
+    doubts: list[str],
 ) -> None:
     lost, share = int((~fresh).sum()), float((~fresh).mean())
     if share <= FEW:
         notes.append(f"{lost} rows whose time does not increase were dropped")
         return
     at = int(np.argmin(fresh))
-    cause = _way_out(t, row, at, find_jump(t, clock))
+    cause = _way_out(t, row, at, jump)
     doubts.append(
         f't: time.repeated = "drop" leaves out {lost} of {len(fresh)} rows ({100 * share:.0f} %), '
         f"from row {row[at]} on; {cause}"
@@ -208,65 +212,59 @@ def counting_on(t: Array, jump: Jump) -> Array:
     return t + jump.period_s * np.cumsum(turns)
 
 
-def _mended(t: Array, cells: Cells, clock: Clock, row: NDArray[np.int64], notes: list[str], doubts: list[str]) -> Array:
+def find_steps(t: Array, values: Array, clock: Clock) -> Jump | None:
+    """Return the falls of a clock that one cause explains, as `find_jump`, or several steps of a clock that was set.
+
+    Args:
+        t: (rows,) s. values: (rows, columns) without those of time. clock: as in `find_jump`.
+    """
+    return find_jump(t, clock) or set_back(t, values)
+
+
+def _mended(
+    t: Array, values: Array, clock: Clock, row: NDArray[np.int64], notes: list[str], doubts: list[str]
+) -> Array:
     """Return the times without their jumps if one cause explains them."""
-    jump = find_jump(t, clock) or set_forward(t, cells, clock)
-    if jump is None:
-        return t
-    if jump.period_s is not None:
+    jump = find_steps(t, values, clock)
+    if jump is not None and jump.period_s is not None:
         notes.append(f"the clock rolls over {len(jump.rows)} times (at {jump.period}) and counts on")
         return counting_on(t, jump)
-    usual, at = _usual(t), int(jump.rows[0])
-    doubts.append(
-        f"t: the clock was set by {jump.size_s[0] - usual:.6g} s at row {row[at]}, and the step was taken out: later "
+    jump = both(jump, set_forward(t, values))
+    if jump is None:
+        return t
+    usual, mended = usual_step(t), t.copy()
+    for at, size in zip(jump.rows, jump.size_s):
+        mended[at:] += usual - size
+    doubts += [
+        f"t: the clock was set by {size - usual:.6g} s at row {row[at]}, and the step was taken out: later "
         f"rows follow at the usual step of {usual:.3g} s, which is right if the log did not pause there"
-    )
-    mended = t.copy()
-    mended[at:] += usual - jump.size_s[0]
+        for at, size in zip(jump.rows[:_LISTED], jump.size_s)
+    ]
+    if len(jump.rows) > _LISTED:
+        doubts.append(f"t: {len(jump.rows) - _LISTED} more such steps were taken out")
     return mended
 
 
-def _usual(t: Array) -> float:
-    step = np.diff(t)
-    return float(np.median(step[step > 0]))
-
-
-def set_forward(t: Array, cells: Cells, clock: Clock) -> Jump | None:
-    """Return the one leap of a clock that was set forward: the values go on as if no time had passed; else None.
-
-    Args:
-        t: (rows,) s. cells: the columns of these rows. clock: the time that the mapping declares.
-    """
-    step = np.diff(t)
-    if len(step) < 2 * _NEAR or (step <= 0).any():
-        return None
-    high = np.flatnonzero(step > max(_LEAP * float(np.quantile(step, 0.95)), 1.0))
-    if len(high) != 1:
-        return None
-    at = int(high[0])
-    near = cells.numbers[max(at - _NEAR, 0) : at + 1 + _NEAR]
-    moved = np.abs(np.diff(near, axis=0))
-    leapt = np.abs(cells.numbers[at + 1] - cells.numbers[at])
-    values = np.ptp(cells.numbers, axis=0) < 0.999 * np.ptp(t) / clock.seconds  # the column of time apart
-    usual, span = np.nanmedian(moved, axis=0), np.ptp(cells.numbers, axis=0)
-    moving = values & (usual > 1e-3 * span) & (span > 0) & np.isfinite(leapt)
-    if moving.sum() == 0 or not (leapt[moving] <= _SLOWEST * usual[moving]).all():
-        return None
-    return Jump(np.array([at + 1]), step[[at]], None)
-
-
-def _refuse_falls(path: Path, where: str, t: Array, cells: Cells, row: NDArray[np.int64], clock: Clock) -> None:
+def _refuse_falls(
+    path: Path,
+    where: str,
+    t: Array,
+    values: Array,
+    lines: NDArray[np.int64],
+    row: NDArray[np.int64],
+    clock: Clock,
+) -> None:
     """Raise RunError if time does not increase, with the cause and the remedy."""
     step = np.diff(t)
     late = step < 0 if clock.repeated == "spread" else step <= 0
     if not late.any():
         return
-    jump = find_jump(t, clock)
+    jump = find_steps(t, values, clock)
     at = int(np.argmax(late)) + 1 if jump is None else int(jump.rows[0])
     back = step[at - 1] < 0
     now, before = differing(t[at], t[at - 1])
     raise RunError(
-        f"{path}: time {'goes backwards' if back else 'stands still'} at row {row[at]} ({where} {cells.lines[at]}: "
+        f"{path}: time {'goes backwards' if back else 'stands still'} at row {row[at]} ({where} {lines[at]}: "
         f"{now} s after {before} s), {int(late.sum())} such rows; {_way_out(t, row, at, jump)}"
     )
 
@@ -274,12 +272,12 @@ def _refuse_falls(path: Path, where: str, t: Array, cells: Cells, row: NDArray[n
 def _way_out(t: Array, row: NDArray[np.int64], at: int, jump: Jump | None) -> str:
     if jump is not None and jump.period_s is not None:
         return f'the clock rolls over at {jump.period} ({jump.period_s:.10g} s): set time.jumps = "mend" to count on'
-    cut = f"import the log in two parts, to_row = {row[at] - 1} and from_row = {row[at]}"
+    cut = f"import the log in two parts, to_row = {row[at - 1]} and from_row = {row[at]}"
+    if jump is not None and len(jump.rows) > 1:
+        return _steps(row, jump, usual_step(t))
     if jump is not None:
-        return (
-            f'the clock was set back by about {_usual(t) - jump.size_s[0]:.6g} s: set time.jumps = "mend" to take the '
-            f"step out, or {cut}"
-        )
+        size = usual_step(t) - jump.size_s[0]
+        return f'the clock was set back by about {size:.6g} s: set time.jumps = "mend" to take the step out, or {cut}'
     ways = []
     lost = int((~increasing(t)).sum())
     if lost <= max(1, FEW * len(t)):
@@ -289,6 +287,20 @@ def _way_out(t: Array, row: NDArray[np.int64], at: int, jump: Jump | None) -> st
     if not ways:
         ways = ["the rows are not in the order of time: choose another column", cut]
     return ", or ".join(ways)
+
+
+def _steps(row: NDArray[np.int64], jump: Jump, usual: float) -> str:
+    """Return the sentence on a clock that was set back several times."""
+    steps = [f"{usual - size:.6g} s at row {row[at]}" for at, size in zip(jump.rows, jump.size_s)]
+    begins = [f"from_row = {row[at]}" for at in jump.rows]
+    ends = [f"to_row = {row[at - 1]}" for at in jump.rows]
+    parts = [ends[0], *(f"{begin} with {end}" for begin, end in zip(begins, ends[1:])), begins[-1]]
+    if len(steps) > _LISTED:
+        steps, parts = [*steps[:_LISTED], f"{len(steps) - _LISTED} more"], [*parts[:_LISTED], "and so on"]
+    return (
+        f'the clock was set back {len(jump.rows)} times, by about {", ".join(steps)}: set time.jumps = "mend" to take '
+        f"each step out, or import the log in {len(jump.rows) + 1} parts: {'; '.join(parts)}"
+    )
 
 
 def spread(t: Array) -> Array:

@@ -23,6 +23,7 @@ from softmap_edge.time_digits import differing
 
 Array = NDArray[np.float64]
 _TOLD = 5  # swaps, and markers not seen, that are named one by one
+_SLOW = 25.0  # % of the frames that repeat: the camera is slower than the log
 _OF_FRAMES = ("markers", "visible", "block", "base_markers")
 
 
@@ -130,11 +131,11 @@ def _without_shifts(table: LogTable, markers: Quantity, doubts: list[str]) -> Lo
     if found is None:
         return table
     if markers.swaps == "mend":
-        doubts.append(found.line(markers.labels, "mended: each place is in the column of its marker"))
+        doubts += found.lines(markers.labels, "mended: each place is in the column of its marker")
         return _with_numbers(table, markers.columns, found.mended(points))
     points[found.wrong] = np.nan
     remedy = 'they are taken as not seen; markers.swaps = "mend" puts them into the columns of their markers'
-    doubts.append(found.line(markers.labels, remedy))
+    doubts += found.lines(markers.labels, remedy)
     return _with_numbers(table, markers.columns, points)
 
 
@@ -222,9 +223,10 @@ def _without_repeats(table: LogTable, markers: Quantity, notes: list[str], doubt
     if not held.any() or markers.held == "keep":
         return table
     share = 100 * held.mean()
+    why = "the camera is slower than the log" if share > _SLOW else "these pictures are old"
     notes.append(
-        f"{int(held.sum())} frames ({share:.0f} %) repeat the one before bit for bit and were left out: the camera is "
-        'slower than the log (markers.held = "keep" keeps them)'
+        f"{int(held.sum())} frames ({share:.0f} %) repeat the one before bit for bit and were left out: {why} "
+        '(markers.held = "keep" keeps them)'
     )
     return table.rows(~held)
 

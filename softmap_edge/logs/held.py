@@ -4,8 +4,10 @@ A held encoder lags by half its period on average; it is un-held by a straight l
 value arrives. Longer stillness stays stillness: only gaps up to three typical holds are bridged, and nothing is done
 when the typical hold is over 0.25 s, for that is a robot at rest. Slow moves of a coarse encoder repeat as well, but
 without a beat: new values must be evenly spaced. Channels read in turn (a bus that asks one motor a row) are un-held
-one by one. A frame of markers that repeats the one before bit for bit is an old picture (no sensor repeats its noise)
-and is left out, unless it stays longer than 0.25 s: that may be a simulation at rest. tests/test_import_held.py.
+one by one. A frame of markers that repeats the one before bit for bit is an old picture if the noise makes a repeat
+improbable (`chance.py`), or if new pictures come at a beat and move by more than the digits of the file. It is left
+out, unless it stays longer than 0.25 s. A resting finger with coarse digits repeats itself as well; its frames stay.
+Pinned by tests/test_import_held.py and tests/test_old_pictures.py.
 """
 
 from __future__ import annotations
@@ -15,7 +17,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from softmap_edge.logs.chance import digit_of, is_improbable
+
 Array = NDArray[np.float64]
+DIGITS = 2.0  # of the file: new pictures of a slow camera move by more
+CATCHES_UP = 2.0  # of the usual moves: what a camera that stood still moves by afterwards
 LONGEST_HOLD = 0.25  # s: an encoder polled more slowly than 4 Hz is not worth un-holding
 _FRESH = 0.7  # of the rows: with more new values than this, repeats are chance
 _FEW = 10  # frames: too few to tell an old picture from a made-up log
@@ -91,7 +97,8 @@ def repeated_frames(t: Array, points: Array) -> tuple[NDArray[np.bool_], NDArray
         t: (K,) s. points: (K, ...) coordinates, NaN where nothing was seen.
 
     Returns:
-        Two (K,) masks: frames of a hold of at most 0.25 s, and frames of longer stillness.
+        Two (K,) masks: old pictures of a hold of at most 0.25 s, and frames of longer stillness that only a camera that
+        stood still or a simulation explains.
     """
     flat = points.reshape(len(points), -1)
     same = (flat[1:] == flat[:-1]) | (np.isnan(flat[1:]) & np.isnan(flat[:-1]))
@@ -101,4 +108,22 @@ def repeated_frames(t: Array, points: Array) -> tuple[NDArray[np.bool_], NDArray
     first = np.flatnonzero(~again)  # where each picture is new
     ends = np.r_[first[1:], len(t)] - 1
     long = np.repeat(t[ends] - t[first] > LONGEST_HOLD, ends - first + 1)
-    return again & ~long, again & long
+    improbable = is_improbable(flat)
+    if not improbable and not (_knots(t, first)[0] is not None and _beyond_digits(flat, first)):
+        return np.zeros(len(t), bool), again & long & _catches_up(flat, first, ends)
+    return again & ~long, again & long & (improbable | _catches_up(flat, first, ends))
+
+
+def _beyond_digits(flat: Array, first: NDArray[np.int64]) -> bool:
+    """Return whether many new pictures, at rows `first`, differ from those before by more than the digits."""
+    digit = np.array([digit_of(column) for column in flat.T])
+    moved = np.nan_to_num(np.abs(np.diff(flat[first], axis=0))) > DIGITS * digit
+    return bool((moved & (digit > 0)).any(axis=1).mean() > 0.1)
+
+
+def _catches_up(flat: Array, first: NDArray[np.int64], ends: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Return of each row whether its picture, from `first` to `ends`, is followed by a longer move than usual."""
+    moved = np.nan_to_num(np.abs(np.diff(flat[first], axis=0)))
+    usual = np.quantile(moved, 0.9, axis=0) if len(moved) else np.zeros(flat.shape[1])
+    far = (moved > CATCHES_UP * usual) & (usual > 0)
+    return np.repeat(np.r_[far.any(axis=1), False], ends - first + 1)

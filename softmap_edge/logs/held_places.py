@@ -1,7 +1,8 @@
 """Find markers that stand still to the last digit while the robot moves: a tracker that repeats the last place.
 
 A marker that repeats its place is compared with the other markers. Its place is predicted from each of them by least
-squares over the frames in which it is fresh. If most predictions move on, far beyond their error and the digits of the
+squares over the frames in which it is fresh. If its noise makes a repeat improbable (`chance`), each repeat
+counts in which another marker is fresh. If most predictions move on, far beyond their error and the digits of the
 file, the marker was lost. If all markers stand still together while the commands move, they were lost in a recording
 with noise: no sensor repeats its noise, but a simulation in a play does. In a recording without noise they were lost if
 they jump afterwards to where the commands brought them: a body that leaves a play or a stop does not jump.
@@ -15,6 +16,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+
+from softmap_edge.logs.chance import is_improbable
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -68,6 +71,11 @@ def _against_others(points: Array, again: Mask, m: int) -> Iterator[Held]:
     if not len(rows) or points.shape[1] < 2:
         return
     known = np.asarray(np.isfinite(points).all(axis=2), np.bool_)
+    if is_improbable(points[:, m]):
+        rows = rows[np.delete(known & ~again, m, axis=1)[rows].any(axis=1)]
+        if len(rows):
+            yield Held(m, rows)
+        return
     fresh = known[:, m] & ~again[:, m]
     since = np.maximum.accumulate(np.where(again[:, m], 0, np.arange(len(points))))[rows]  # where each place is new
     least = max(BEYOND * _digit(points[fresh, m]), MOVED * float(np.linalg.norm(np.ptp(points[fresh, m], axis=0))))

@@ -8,6 +8,7 @@ real marker repeats a place only where the robot rests. A place of a marker that
     jumps     the marker jumps to it and away, farther than it ever moves between two frames, or
     driven    it stays the same while a command crosses half of its range, and no other place repeats
 
+One coordinate may stand for "not seen" alone (`one_coordinate`).
 A place that only repeats, with three different numbers, needs `alone` and one of the others. A marker that is alone at
 rest, under one command near which it is seen nowhere else, is not tested. A marker that never moves is kept.
 Limits: a place that occurs once and is not three equal numbers; fewer than `LEAST` frames.
@@ -23,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.logs.held_places import Held, held_places
+from softmap_edge.logs.one_coordinate import NAMES, Coordinate, lost_coordinates
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -59,6 +61,7 @@ class Lost:
     mask: Mask
     constants: tuple[Constant, ...] = ()
     held: tuple[Held, ...] = ()
+    coordinates: tuple[Coordinate, ...] = ()
 
     def lines(self, labels: Sequence[str], remedy: str) -> list[str]:
         """Return a sentence for each place that stands for "not seen", and one for places that are held."""
@@ -70,6 +73,14 @@ class Lost:
             where = f"({', '.join(f'{x + 0.0:.10g}' for x in place)})" if len(place) > 1 else f"{place[0]:.10g}"
             named = _named([(labels[one.marker], len(one.frames)) for one in ones])
             told.append(f"{len(frames)} of {count} frames at exactly {where} are taken as not seen: {named}; {remedy}")
+        for number, axis in dict.fromkeys((one.number, one.axis) for one in self.coordinates):
+            same = [one for one in self.coordinates if (one.number, one.axis) == (number, axis)]
+            frames = np.unique(np.concatenate([one.frames for one in same]))
+            named = _named([(labels[one.marker], len(one.frames)) for one in same])
+            told.append(
+                f"{len(frames)} of {count} frames with {NAMES[axis]} at exactly {number + 0.0:.10g} are taken as not "
+                f"seen: {named}; {remedy}"
+            )
         if self.held:
             frames = np.unique(np.concatenate([one.frames for one in self.held]))
             each: dict[str, int] = {}
@@ -102,11 +113,14 @@ def not_seen(points: Array, commands: Array | None = None) -> Lost:
         for frames in _constants(shown[:, m], u, shown.shape[1] > MANY):
             found.append(Constant(m, tuple(float(x) for x in shown[frames[0], m]), frames))
             shown[frames, m] = np.nan
+    coordinates = lost_coordinates(shown, u) if shown.shape[1] <= MANY else []
+    for coordinate in coordinates:
+        shown[coordinate.frames, coordinate.marker] = np.nan
     held = held_places(shown, u) if shown.shape[1] <= MANY else []
     for one in held:
         shown[one.frames, one.marker] = np.nan
     lost = np.isfinite(points).all(axis=2) & ~np.isfinite(shown).all(axis=2)
-    return Lost(np.asarray(lost, np.bool_), tuple(found), tuple(held))
+    return Lost(np.asarray(lost, np.bool_), tuple(found), tuple(held), tuple(coordinates))
 
 
 def declared(points: Array, numbers: Sequence[float]) -> Lost:

@@ -1,9 +1,13 @@
-"""Find frames in which a list of markers gets shorter, so that each column after the lost marker shows its neighbour.
+"""Find frames in which a list of markers gets shorter, so that columns show the neighbour of their marker.
 
 Trackers without labels write the markers that they see one after the other. If one is lost, all later columns move up
-and the last column is empty. In such a log the markers that are seen always fill the first columns. In a frame with
-all markers the columns are right. From it, each next frame is matched in order, with the least total distance to the
-last places; a marker counts as found in another column if it moved by at most `CLEAR` of the distance between the two.
+and the last column is empty, or repeats the one before. In other lists the first column is empty. In such a log the
+markers that are seen always fill the first columns, or the last ones. Two markers at one place to the last digit are
+one measurement, unless they come as near to each other as the digits of the file.
+
+In a frame with all markers the columns are right. From it, each next frame is matched in order, with the least total
+distance to the last places; a marker counts as found in another column if it moved by at most `CLEAR` of the distance
+between the two. Two columns of one place whose marker is not clear are both not seen.
 Limit: frames so far apart that markers move farther are not tested. Pinned by tests/test_shifted.py.
 """
 
@@ -19,13 +23,15 @@ Array = NDArray[np.float64]
 Whole = NDArray[np.intp]
 
 CLEAR = 0.3  # of the distance between two markers: what a marker may have moved when it is found in another column
+NEAR = 10.0  # digits of the file: markers that come nearer to each other may round to one place
+NOWHERE = -1  # a column that repeats the place of another
 MOST = 64  # markers of a list: matching takes their square
 _LISTED = 5
 
 
 @dataclass(frozen=True)
 class Shifted:
-    """Which marker each column shows: `shows` (K, M), the column's own number where it is right."""
+    """Which marker each column shows: `shows` (K, M), the column's own number where it is right, else `NOWHERE`."""
 
     shows: Whole
 
@@ -38,24 +44,36 @@ class Shifted:
         """Return points (K, M, D) with each place in the column of its marker."""
         right = points.copy()
         right[self.wrong] = np.nan
-        k, column = np.nonzero(self.wrong)
+        k, column = np.nonzero(self.wrong & (self.shows != NOWHERE))
         right[k, self.shows[k, column]] = points[k, column]
         return right
 
-    def line(self, labels: Sequence[str], remedy: str) -> str:
-        """Return the sentence that reports the shifted columns."""
-        wrong = self.wrong
-        columns = np.flatnonzero(wrong.any(axis=0))
-        named = ", ".join(labels[m] for m in columns[:_LISTED])
-        named += f" and {len(columns) - _LISTED} more" if len(columns) > _LISTED else ""
-        return (
-            f"{int(wrong.any(axis=1).sum())} of {len(wrong)} frames list fewer markers, and a column after the lost "
-            f"one shows the next marker: {named}; {remedy}"
-        )
+    def lines(self, labels: Sequence[str], remedy: str) -> list[str]:
+        """Return the sentences that report the columns."""
+        told = []
+        moved = self.wrong & (self.shows != NOWHERE)
+        if moved.any():
+            told.append(
+                f"{int(moved.any(axis=1).sum())} of {len(moved)} frames list fewer markers, and a column shows the "
+                f"neighbour of its marker: {_named(moved, labels)}; {remedy}"
+            )
+        twice = self.shows == NOWHERE
+        if twice.any():
+            told.append(
+                f"{int(twice.any(axis=1).sum())} of {len(twice)} frames give two markers one place to the last digit, "
+                f"which is one measurement: {_named(twice, labels)} taken as not seen"
+            )
+        return told
+
+
+def _named(columns: NDArray[np.bool_], labels: Sequence[str]) -> str:
+    found = np.flatnonzero(columns.any(axis=0))
+    more = f" and {len(found) - _LISTED} more" if len(found) > _LISTED else ""
+    return ", ".join(labels[m] for m in found[:_LISTED]) + more
 
 
 def find_shifted(points: Array) -> Shifted | None:
-    """Find frames of a list that got shorter.
+    """Find frames of a list that got shorter, and columns that repeat the place of another.
 
     Args:
         points: (K, M, D) in order of time, NaN where nothing was seen.
@@ -64,47 +82,110 @@ def find_shifted(points: Array) -> Shifted | None:
         Shifted: which marker each column shows, or None where every column shows its own.
     """
     count = points.shape[1]
-    seen = np.isfinite(points).all(axis=2)
-    number = seen.sum(axis=1)
-    if not 2 <= count <= MOST or (seen != (np.arange(count) < number[:, None])).any():
-        return None  # a gap between markers that are seen: each column keeps its marker
-    full = np.flatnonzero(number == count)
-    if not len(full) or len(full) == len(points):
+    if not 2 <= count <= MOST:
         return None
-    shows = np.tile(np.arange(count), (len(points), 1))
-    _follow(points, number, shows, range(int(full[0]), len(points)))
-    _follow(points, number, shows, range(int(full[0]), -1, -1))
-    found = Shifted(np.where(seen, shows, np.arange(count)))
+    column, seen = np.arange(count), np.isfinite(points).all(axis=2)
+    number, first = seen.sum(axis=1), _first_of(points)
+    twice = np.asarray((first != column).any(axis=1))
+    listed = (seen == (column < number[:, None])).all() or (seen == (column >= count - number[:, None])).all()
+    doubtful = np.asarray(twice | (listed & (number > 0) & (number < count)))
+    full = np.flatnonzero((number == count) & ~twice)
+    if not doubtful.any() or not (len(full) or twice.any()):
+        return None
+    shows = np.where(first != column, NOWHERE, column)
+    if len(full):
+        shows = np.tile(column, (len(points), 1))
+        for frames in (range(int(full[0]), len(points)), range(int(full[0]), -1, -1)):
+            _follow(points, seen, first, doubtful, shows, frames)
+    found = Shifted(np.where(seen, shows, column))
     return found if found.wrong.any() else None
 
 
-def _follow(points: Array, number: Whole, shows: Whole, frames: Iterable[int]) -> None:
+def _first_of(points: Array) -> Whole:
+    """Return the first column (K, M) with the same place to the last digit; its own number where no other has it."""
+    count = points.shape[1]
+    first = np.tile(np.arange(count), (len(points), 1))
+    for b in range(1, count):
+        same = (points[:, :b] == points[:, b : b + 1]).all(axis=2)
+        for a in np.flatnonzero(same.any(axis=0)):
+            if _apart(points[:, a], points[:, b], same[:, a]):
+                first[:, b] = np.where(same[:, a], np.minimum(first[:, b], first[:, a]), first[:, b])
+    return first
+
+
+def _apart(one: Array, other: Array, same: NDArray[np.bool_]) -> bool:
+    """Return whether two markers (K, D) are elsewhere too far from each other to round to one place."""
+    away = np.linalg.norm(one - other, axis=1)[~same]
+    away = away[np.isfinite(away)]
+    steps = [np.diff(np.unique(np.r_[a, b])) for a, b in zip(one.T, other.T)]
+    digit = max((float(step[step > 0].min()) for step in steps if (step > 0).any()), default=0.0)
+    return not len(away) or bool(away.min() > NEAR * digit)
+
+
+def _follow(
+    points: Array,
+    seen: NDArray[np.bool_],
+    first: Whole,
+    doubtful: NDArray[np.bool_],
+    shows: Whole,
+    frames: Iterable[int],
+) -> None:
     """Write which marker each column of each frame shows, beginning with a frame of all markers."""
-    count, before = points.shape[1], -1
     last = np.full(points.shape[1:], np.nan)
+    before: tuple[Whole, Whole] | None = None  # the columns of the frame before, and the markers that they show
     for k in frames:
-        n = int(number[k])
-        if 0 < n < count:
-            kept = shows[before] if before >= 0 and number[before] == n else None
-            shows[k, :n] = _matched(points[k, :n], last, None if kept is None else kept[:n])
-        if n:
-            last[shows[k, :n]] = points[k, :n]
-            before = k
+        columns = _one_of_each(points[k], last, first[k], seen[k])
+        if not len(columns):
+            continue
+        if doubtful[k]:
+            own = before[1] if before is not None and np.array_equal(before[0], columns) else columns
+            away = np.linalg.norm(points[k, columns][:, None] - last[None], axis=2)
+            markers = _matched(away, last, own)
+            _write(shows[k], first[k], columns, markers, _clear_groups(away, last, first[k], columns, markers))
+            before = columns, markers
+        else:
+            before = columns, columns
+        right = np.flatnonzero(seen[k] & (shows[k] != NOWHERE))
+        last[shows[k, right]] = points[k, right]
 
 
-def _matched(here: Array, last: Array, kept: Whole | None) -> Whole:
-    """Return which marker each place (n, D) shows, in rising order, by the last places (M, D) of all."""
-    n = len(here)
-    away = np.linalg.norm(here[:, None] - last[None], axis=2)
-    own = np.arange(n) if kept is None else kept
+def _one_of_each(here: Array, last: Array, first: Whole, seen: NDArray[np.bool_]) -> Whole:
+    """Return one column for each place (M, D): of those that repeat it, the one whose marker was nearest to it."""
+    column = np.arange(len(last))
+    if (first == column).all():
+        return np.flatnonzero(seen)
+    away = np.linalg.norm(here - last, axis=1)
+    groups = [np.flatnonzero(first == c) for c in np.flatnonzero(seen & (first == column))]
+    return np.array(sorted(group[away[group].argmin()] for group in groups), np.intp)
+
+
+def _clear_groups(away: Array, last: Array, first: Whole, columns: Whole, markers: Whole) -> list[bool]:
+    """Return of each place (n, M) whether it is clear which marker of its columns it shows."""
+    clear = []
+    for i, (column, marker) in enumerate(zip(columns, markers)):
+        group = np.flatnonzero(first == first[column])
+        others = group[group != marker]
+        apart = np.linalg.norm(last[others] - last[marker], axis=1) if len(others) else np.array([np.inf])
+        clear.append(len(group) == 1 or bool(away[i, marker] <= CLEAR * apart.min()))
+    return clear
+
+
+def _write(shows: Whole, first: Whole, columns: Whole, markers: Whole, clear: list[bool]) -> None:
+    """Write which marker (M,) each column of a frame shows."""
+    for column, marker, known in zip(columns, markers, clear):
+        group = np.flatnonzero(first == first[column])
+        shows[group] = NOWHERE
+        if known:
+            shows[marker if marker in group else column] = marker
+
+
+def _matched(away: Array, last: Array, own: Whole) -> Whole:
+    """Return which marker each place shows, in rising order, by its distances (n, M) from the last places of all."""
     nearest = away.argmin(axis=1)
     best = nearest if (np.diff(nearest) > 0).all() else _in_order(away)
-    if (best == own).all():
-        return own
     moved = best != own
     apart = np.linalg.norm(last[own[moved]] - last[best[moved]], axis=1)
-    clear = away[moved, best[moved]] <= CLEAR * apart
-    return best if bool(clear.all()) else own
+    return best if bool((away[moved, best[moved]] <= CLEAR * apart).all()) else own
 
 
 def _in_order(away: Array) -> Whole:

@@ -127,6 +127,7 @@ def read_log(path: Path, log: Log, columns: Columns | None = None) -> LogTable:
     _all_there(path, columns, [*wanted, *([] if log.block is None else [log.block])], log.delimiter)
     places = sorted({place(path, names, column) for column in wanted})
     cells = columns.read(places, None if log.block is None else place(path, names, log.block))
+    cells = replace(cells, rows=np.arange(len(cells.numbers)))
     clocks = [place(path, names, column) for column in log.clock.columns]
     if isinstance(columns, TextColumns):
         for clock in clocks:
@@ -134,7 +135,8 @@ def read_log(path: Path, log: Log, columns: Columns | None = None) -> LogTable:
     cells = _finite(_cut(path, cells, log), places, names)
     _within_reason(path, columns.where, cells, places, names)
     cells, aside = _set_aside(columns.where, cells, [places.index(clock) for clock in clocks])
-    times = times_of(path, columns.where, cells, raw_times(path, columns, cells, places, log.clock), log.clock)
+    t = raw_times(path, columns, cells, places, log.clock)
+    times = times_of(path, columns.where, cells, t, log.clock, [places.index(clock) for clock in clocks])
     values = dict(zip(places, times.cells.numbers.T))
     doubts = (*times.doubts, *_assumed(log.clock, len(times.t)))
     notes = (*cells.notes, *aside, *times.notes)

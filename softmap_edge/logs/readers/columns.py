@@ -21,12 +21,14 @@ class Cells:
         labels: (rows,) text of the column of labels, if one was asked for.
         lines: (rows,) the line (or frame, or message) of the file that holds each row, for messages.
         notes: what the reader did, a sentence each.
+        rows: (rows,) the number of each row in its log, from 0; None before any row was left out.
     """
 
     numbers: Array
     labels: NDArray[Any] | None
     lines: NDArray[np.int64]
     notes: tuple[str, ...] = ()
+    rows: NDArray[np.int64] | None = None
 
 
 class Columns(Protocol):
