@@ -46,7 +46,7 @@ ROLES: tuple[tuple[str, str], ...] = (
     ("present", r"present|actual|meas|enc|feedback|(^|_)fb|phi#|joint_?state|theta#|^q#|read"),
     ("command", r"^u(_[a-z]{1,2})?_?#|cmd|command|goal|target|set_?point|desired|_des|_ref|action|input|control"),
     ("command", r"servo|tendon|motor|cable|actuat|pull"),
-    ("present", r"^pos|position|angle|joint|state"),
+    ("present", r"^pos(?!e)|position|angle|joint|state"),
 )
 _UNIT = {"mm": "mm", "cm": "cm", "m": "m", "um": "um", "deg": "deg", "degrees": "deg", "°": "deg", "rad": "rad"}
 _UNIT |= {"radians": "rad", "ticks": "ticks", "ma": "mA", "a": "A", "g": "g", "kg": "kg", "n": "N", "k": "K"}
@@ -263,7 +263,7 @@ def roles_of(sheet: Sheet, spent: set[str]) -> list[Role]:
     roles: list[tuple[int, Role]] = []
     for stem, names in _by_publisher(sheet, groups):
         bare = stem.replace("[#]", "#")
-        if re.search(r"veloc|effort|accel", bare):
+        if re.search(r"veloc|effort|accel|covar", bare):
             continue
         last = last_of(sheet, bare)
         where = [(last, f"called '{names[0]}'" + ("" if len(names) == 1 else f" to '{names[-1]}'"))]
@@ -320,6 +320,8 @@ def drive_unit(rows: Array, stated: str | None, joint: bool = False) -> tuple[st
         return stated, f"their name says {stated}", True
     known = rows[np.isfinite(rows)]
     peak = float(np.abs(known).max())
+    if not joint and all(len(np.unique(column[np.isfinite(column)])) < 2 for column in rows.T):
+        return "mm", f"they never change (at most {peak:.3g}), and a constant shows no unit", False
     whole = rows[np.isfinite(rows).all(axis=1)]
     for tick, unit in ((TICK_DEG, "deg"), (TICK_RAD, "rad")):
         steps = (whole - whole[:1]) / tick  # whatever home is
