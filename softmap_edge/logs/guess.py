@@ -87,6 +87,7 @@ def guess_mapping(paths: Sequence[str | os.PathLike[str]]) -> Guess:
             found.assumed.append(f"columns of {_called(sheet)}: no line names them, so they are numbers from 0")
         time = found.times[k] = time_of(sheet, alone=len(sheets) == 1)
         found.assumed.append(f"time of {_called(sheet)}: {time.why}")
+        found.unknown += [time.doubt] if time.doubt else []
         if time.unit == "rows":
             what = f"how fast '{time.columns[0]}' counts" if time.columns else "how fast rows were logged"
             found.unknown.append(f"{what} in {_called(sheet)}: {RATE_HZ} Hz is written; put the rate of the log there")
