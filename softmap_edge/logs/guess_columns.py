@@ -16,17 +16,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.errors import RunError
+from softmap_edge.logs.fills import LARGEST
 from softmap_edge.logs.mapping import LENGTH, UNITS
 from softmap_edge.logs.plausible import ROBOT
 from softmap_edge.logs.readers.arrays import ArrayColumns
 from softmap_edge.logs.readers.columns import Columns, HeldColumns
+from softmap_edge.logs.readers.ending import lines_below
 from softmap_edge.logs.readers.kinds import RECORDINGS
 from softmap_edge.logs.readers.mcap_file import Topic
 from softmap_edge.logs.readers.paced import PacedColumns
 from softmap_edge.logs.readers.parquet_log import EPISODE, open_parquet
 from softmap_edge.logs.readers.text import TextColumns
+from softmap_edge.logs.readers.unit_cells import refuse_unit_cells
 from softmap_edge.logs.sources import Part, called, groups_of, open_recording, parts_of, pattern_of, topics_of
-from softmap_edge.logs.table import LARGEST, open_log
+from softmap_edge.logs.table import open_log
 from softmap_edge.logs.triples import Triples, find_pairs, find_triples
 
 Array = NDArray[np.float64]
@@ -70,6 +73,7 @@ class Sheet:
     file: str = ""  # the `file` of the log in a mapping
     indexed: bool = False  # brackets at the end of a name hold the number or name of an element
     episode: int | None = None  # of a dataset
+    below: list[str] = field(default_factory=list)  # lines below the table
     clocks: dict[str, str] = field(default_factory=dict)  # columns of dates or times, in s, and their form
 
     def column(self, name: str) -> Array:
@@ -154,8 +158,13 @@ def _sheet(part: Part, columns: Columns, which: list[int]) -> Sheet:
     names = [columns.names[k] for k in which]
     texts: dict[str, list[str]] = {}
     clocks: dict[str, str] = {}
+    below: list[str] = []
+    if isinstance(columns, TextColumns):
+        below = lines_below(columns.path, columns.delimiter, len(columns.names), columns.fewest or len(columns.names))
+        columns = replace(columns, skip_last=len(below))
     if isinstance(columns, TextColumns | PacedColumns):
         texts = columns.texts(200)
+        refuse_unit_cells(part.path, texts)
         clocks = {columns.names[k]: clock.form for k, clock in columns.clocks.items()}
     if isinstance(columns, ArrayColumns):
         texts = {columns.names[k]: columns.texts[k][:200] for k in which if k in columns.texts}
@@ -170,7 +179,7 @@ def _sheet(part: Part, columns: Columns, which: list[int]) -> Sheet:
     file = pattern_of([part])
     return Sheet(
         part.given, None, names, dict(columns.units), numbers, texts, header, bare, file=file, indexed=arrays,
-        episode=episode, clocks=clocks,
+        episode=episode, clocks=clocks, below=below,
     )  # fmt: skip
 
 

@@ -21,12 +21,14 @@ class Cells:
         labels: (rows,) text of the column of labels, if one was asked for.
         lines: (rows,) the line (or frame, or message) of the file that holds each row, for messages.
         notes: what the reader did, a sentence each.
+        doubts: what looks wrong, a sentence each.
     """
 
     numbers: Array
     labels: NDArray[Any] | None
     lines: NDArray[np.int64]
     notes: tuple[str, ...] = ()
+    doubts: tuple[str, ...] = ()
 
 
 class Columns(Protocol):
