@@ -22,6 +22,7 @@ from softmap_edge.npz import check_directory
 RECORDINGS = ("mcap", "db3")  # several topics, stamped with the time of recording
 ARRAYS = ("npz", "npy", "mat", "hdf5", "parquet")
 PACKED = ("zstd", "gzip")
+BINARY = (*RECORDINGS, *ARRAYS, "c3d")
 HDF5 = b"\x89HDF\r\n\x1a\n"
 _HEAD = 4096  # bytes of a file that are tested
 _SURE = 8  # letters with which a text hardly begins
