@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from softmap_edge.errors import RunError
 from softmap_edge.logs.readers.columns import Array, Cells
+from softmap_edge.logs.rising import longest_rise
 from softmap_edge.logs.set_clock import Jump, both, set_back, set_forward, usual_step
 from softmap_edge.logs.time_keys import TIME, Clock
 from softmap_edge.logs.time_text import DAY, HOUR
@@ -126,8 +127,15 @@ def _leaps(where: str, cells: Cells, row: NDArray[np.int64], leap: Jump | None) 
 
 
 def increasing(t: Array) -> NDArray[np.bool_]:
-    """Return which rows (rows,) are later than every row before: those that `repeated = "drop"` keeps."""
-    return np.asarray(np.r_[True, t[1:] > np.maximum.accumulate(t)[:-1]])
+    """Return which rows (rows,) `repeated = "drop"` keeps: those later than every row before.
+
+    A few times that are far too late (a stray stamp) would leave out all rows after them; they are left out instead.
+    """
+    fresh = np.asarray(np.r_[True, t[1:] > np.maximum.accumulate(t)[:-1]])
+    if fresh.mean() >= 1.0 - FEW:
+        return fresh
+    most = longest_rise(t)
+    return most if most.mean() >= 1.0 - FEW else fresh
 
 
 def _written_twice(t: Array, cells: Cells) -> NDArray[np.bool_]:
@@ -185,9 +193,15 @@ def find_jump(t: Array, clock: Clock) -> Jump | None:
         if clocklike and (t.min() < 0 or period - t.max() > slowest or t[rows].max() > slowest):
             continue
         return Jump(rows, -size, period, words)
-    if len(rows) == 1 and size[0] > 3 * usual:
+    if len(rows) == 1 and size[0] > 3 * usual and not _returns(step, int(rows[0]), float(size[0])):
         return Jump(rows, -size, None)
     return None
+
+
+def _returns(step: Array, row: int, size: float) -> bool:
+    """Whether a fall of `size` at a row is undone by the step next to it: one stray time, such as a stamp of 0."""
+    near = [step[k] for k in (row - 2, row) if 0 <= k < len(step)]
+    return bool(near) and max(near) > 0.5 * size
 
 
 def _periods(clock: Clock) -> list[tuple[float, str, bool]]:

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.errors import RunError
+from softmap_edge.logs.drive_roles import drives_of
 from softmap_edge.logs.guess_bare import places_by_value
 from softmap_edge.logs.guess_columns import (
     Sheet,
@@ -33,12 +34,13 @@ from softmap_edge.logs.guess_parts import joined_parts
 from softmap_edge.logs.guess_text import Found, mapping_text, seconds
 from softmap_edge.logs.guess_time import RATE_HZ, time_of
 from softmap_edge.logs.importer import import_logs
+from softmap_edge.logs.left_out import by_reason, no_place, no_role, worth
 from softmap_edge.logs.lerobot import EITHER_UNIT
 from softmap_edge.logs.mapping import ANGLE, LENGTH, parse_mapping
 from softmap_edge.logs.not_seen import not_seen
 from softmap_edge.logs.plausible import at_rest, axes_for, is_base, rest_axis
 from softmap_edge.logs.table import header_hint
-from softmap_edge.logs.triples import LeftOut, Triples
+from softmap_edge.logs.triples import Triples
 
 Array = NDArray[np.float64]
 
@@ -88,6 +90,7 @@ def guess_mapping(paths: Sequence[str | os.PathLike[str]]) -> Guess:
             found.assumed.append(f"columns of {_called(sheet)}: no line names them, so they are numbers from 0")
         time = found.times[k] = time_of(sheet, alone=len(sheets) == 1)
         found.assumed.append(f"time of {_called(sheet)}: {time.why}")
+        found.unknown += [time.doubt] if time.doubt else []
         if time.unit == "rows":
             what = f"how fast '{time.columns[0]}' counts" if time.columns else "how fast rows were logged"
             found.unknown.append(f"{what} in {_called(sheet)}: {RATE_HZ} Hz is written; put the rate of the log there")
@@ -171,8 +174,8 @@ def _find_points(sheets: list[Sheet], found: Found) -> None:
         (points_of(sheet) if sheet.header else _bare_places(sheets, found, k), sheet) for k, sheet in enumerate(sheets)
     ]
     found.left = [(sheet, one) for triples, sheet in each for one in triples.left]
-    found.unknown += [_no_place(sheet, one) for sheet, one in found.left]
-    best, sheet = max(each, key=lambda pair: (len(pair[0].places) and len(pair[0].places[0]), len(pair[0].places)))
+    found.unknown += [no_place(_called(sheet), one) for sheet, one in by_reason(found.left)]
+    best, sheet = max(each, key=worth)
     triples = best.places
     if not triples:
         found.unknown.append("where the markers are: no columns named x, y, z of a place; nothing is seen in this run")
@@ -213,13 +216,6 @@ def _places(sheet: Sheet, places: list[list[str]]) -> Array:
     return np.concatenate([points, np.zeros((*points.shape[:2], 3 - points.shape[2]))], axis=2)
 
 
-def _no_place(sheet: Sheet, one: LeftOut) -> str:
-    return (
-        f"what {', '.join(one.columns)} of {_called(sheet)} are: they look like {one.why}, and are left out; name them "
-        "in `markers` if they are a place"
-    )
-
-
 def _bare_places(sheets: list[Sheet], found: Found, k: int) -> Triples:
     """Return the places of a log whose columns have no names."""
     triples = places_by_value(sheets[k], set(found.times[k].columns))
@@ -239,10 +235,9 @@ def _find_drives(sheets: list[Sheet], found: Found) -> None:
         sheet, triples, _ = found.points
         spent[id(sheet)] |= {name for triple in [*triples, *found.base] for name in triple} | {found.label or ""}
     roles = [(sheet, role) for sheet in sheets for role in roles_of(sheet, spent[id(sheet)])]
-    commands = [pair for pair in roles if pair[1].kind == "command"]
-    presents = [pair for pair in roles if pair[1].kind == "present"]
-    commands.sort(key=lambda pair: (not pair[1].sure, -len(pair[1].columns)))
-    presents.sort(key=lambda pair: -len(pair[1].columns))
+    commands, presents, no_drives = drives_of(roles)
+    found.left += no_drives
+    found.unknown += [no_role(_called(sheet), one) for sheet, one in no_drives]
     if commands:
         found.command = commands[0]
     elif presents:
@@ -291,7 +286,7 @@ def _drive_units(found: Found) -> None:
                 "are left out, give them with spool_radius_mm"
             )
         else:
-            loose = 0 if answers[1][2] or drives[1][1][1].joint else 1
+            loose = 0 if answers[1][2] or drives[1][1][1].joint or not moved[0] else 1
             answers[loose] = (answers[1 - loose][0], f"as the {drives[1 - loose][0]}", False)
     for (kind, (_, role)), (unit, why, sure) in zip(drives, answers[: 2 if found.present else 1]):
         role.unit = unit

@@ -16,17 +16,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.errors import RunError
+from softmap_edge.logs.fills import LARGEST
 from softmap_edge.logs.mapping import LENGTH, UNITS
 from softmap_edge.logs.plausible import ROBOT
 from softmap_edge.logs.readers.arrays import ArrayColumns
 from softmap_edge.logs.readers.columns import Columns, HeldColumns
+from softmap_edge.logs.readers.ending import lines_below
 from softmap_edge.logs.readers.kinds import RECORDINGS
 from softmap_edge.logs.readers.mcap_file import Topic
 from softmap_edge.logs.readers.paced import PacedColumns
 from softmap_edge.logs.readers.parquet_log import EPISODE, open_parquet
 from softmap_edge.logs.readers.text import TextColumns
+from softmap_edge.logs.readers.unit_cells import refuse_unit_cells
 from softmap_edge.logs.sources import Part, called, groups_of, open_recording, parts_of, pattern_of, topics_of
-from softmap_edge.logs.table import LARGEST, open_log
+from softmap_edge.logs.table import open_log
 from softmap_edge.logs.triples import Triples, find_pairs, find_triples
 
 Array = NDArray[np.float64]
@@ -48,7 +51,7 @@ ROLES: tuple[tuple[str, str], ...] = (
     ("command", r"^u(_[a-z]{1,2})?_?#|cmd|command|goal|target|set_?point|desired|_des|_ref|action|input|control"),
     ("command", r"soll|vorgabe|stell_?(gr|wert|signal)|befehl|f(ü|ue)hrungsgr|consigne"),
     ("command", r"servo|tendon|motor|cable|actuat|pull"),
-    ("present", r"^pos|position|angle|joint|state|winkel|gelenk|stellung|articulation"),
+    ("present", r"^pos(?!e)|position|angle|joint|state|winkel|gelenk|stellung|articulation"),
 )
 _SURE = 7  # of the roles: the names of the others are those of goals and of positions that are read
 _UNIT = {"mm": "mm", "cm": "cm", "m": "m", "um": "um", "deg": "deg", "degrees": "deg", "°": "deg", "rad": "rad"}
@@ -73,6 +76,7 @@ class Sheet:
     file: str = ""  # the `file` of the log in a mapping
     indexed: bool = False  # brackets at the end of a name hold the number or name of an element
     episode: int | None = None  # of a dataset
+    below: list[str] = field(default_factory=list)  # lines below the table
     clocks: dict[str, str] = field(default_factory=dict)  # columns of dates or times, in s, and their form
     head_line: int | None = None  # the number of the line of a text log that names the columns
     parts: int = 1  # files of the log
@@ -160,8 +164,13 @@ def _sheet(part: Part, columns: Columns, which: list[int]) -> Sheet:
     names = [columns.names[k] for k in which]
     texts: dict[str, list[str]] = {}
     clocks: dict[str, str] = {}
+    below: list[str] = []
+    if isinstance(columns, TextColumns):
+        below = lines_below(columns.path, columns.delimiter, len(columns.names), columns.fewest or len(columns.names))
+        columns = replace(columns, skip_last=len(below))
     if isinstance(columns, TextColumns | PacedColumns):
         texts = columns.texts(200)
+        refuse_unit_cells(part.path, texts)
         clocks = {columns.names[k]: clock.form for k, clock in columns.clocks.items()}
     if isinstance(columns, ArrayColumns):
         texts = {columns.names[k]: columns.texts[k][:200] for k in which if k in columns.texts}
@@ -176,7 +185,7 @@ def _sheet(part: Part, columns: Columns, which: list[int]) -> Sheet:
     file = pattern_of([part])
     return Sheet(
         part.given, None, names, dict(columns.units), numbers, texts, header, bare, file=file, indexed=arrays,
-        episode=episode, clocks=clocks, head_line=getattr(columns, "head_line", None),
+        episode=episode, clocks=clocks, below=below, head_line=getattr(columns, "head_line", None),
     )  # fmt: skip
 
 
@@ -269,7 +278,7 @@ def roles_of(sheet: Sheet, spent: set[str]) -> list[Role]:
     roles: list[tuple[int, Role]] = []
     for stem, names in _by_publisher(sheet, groups):
         bare = stem.replace("[#]", "#")
-        if re.search(r"veloc|effort|accel", bare):
+        if re.search(r"veloc|effort|accel|covar", bare):
             continue
         last = last_of(sheet, bare)
         where = [(last, f"called '{names[0]}'" + ("" if len(names) == 1 else f" to '{names[-1]}'"))]
@@ -326,6 +335,8 @@ def drive_unit(rows: Array, stated: str | None, joint: bool = False) -> tuple[st
         return stated, f"their name says {stated}", True
     known = rows[np.isfinite(rows)]
     peak = float(np.abs(known).max())
+    if not joint and all(len(np.unique(column[np.isfinite(column)])) < 2 for column in rows.T):
+        return "mm", f"they never change (at most {peak:.3g}), and a constant shows no unit", False
     whole = rows[np.isfinite(rows).all(axis=1)]
     for tick, unit in ((TICK_DEG, "deg"), (TICK_RAD, "rad")):
         steps = (whole - whole[:1]) / tick  # whatever home is

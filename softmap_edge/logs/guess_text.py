@@ -73,6 +73,9 @@ def _head(sheet: Sheet, files: int) -> list[str]:
     lines += [] if sheet.topic is None else [f"topic = {json.dumps(sheet.topic, ensure_ascii=False)}"]
     if sheet.episode is not None:
         lines.append(f"episode = {sheet.episode}   # ASSUMED: the first of the file; each episode is a run of its own")
+    if sheet.below:
+        what = "".join(c if c.isprintable() else " " for c in sheet.below[0].strip()[:40])
+        lines.append(f"skip_last_rows = {len(sheet.below)}   # no rows: '{what}'")
     return lines + ([] if sheet.header else ["header = false   # columns are numbers from 0"])
 
 

@@ -17,8 +17,10 @@ from numpy.typing import NDArray
 
 from softmap_edge.logs.clock import counting_on, find_jump
 from softmap_edge.logs.guess_columns import TIME_NAME, Sheet, last_of, unit_in_name
+from softmap_edge.logs.guess_falls import counts_of_roll, treatment
 from softmap_edge.logs.readers.cells import is_value
 from softmap_edge.logs.time_keys import NO_TIME, ROW_S, TIME, Clock
+from softmap_edge.logs.time_names import is_time_unit, time_unit
 from softmap_edge.logs.time_text import DAY
 
 Array = NDArray[np.float64]
@@ -46,6 +48,7 @@ class TimeFound:
         line: the proposed `time` of the mapping.
         seconds: (rows,) s.
         calendar: whether it counts since 1970, or since midnight.
+        doubt: a sentence on times that do not rise; empty without any.
     """
 
     columns: tuple[str, ...]
@@ -54,6 +57,7 @@ class TimeFound:
     line: str
     seconds: Array
     calendar: bool = False
+    doubt: str = ""
 
 
 def time_of(sheet: Sheet, alone: bool = True) -> TimeFound:
@@ -104,9 +108,10 @@ def _single(sheet: Sheet) -> str | None:
         return best
     rising = [name for name in dict.fromkeys(sheet.names) if _rises(_known(sheet, name))]
     falling = [name for name in dict.fromkeys(sheet.names) if name not in rising and _falls(sheet, name)]
-    for names in (rising, falling):
+    straying = [name for name in dict.fromkeys(sheet.names) if name not in (*rising, *falling) and _strays(sheet, name)]
+    for names in (rising, falling, straying):
         for pattern in (TIME_NAME, _COUNTERS):
-            fits = [name for name in names if name not in dated and pattern.search(_bare(last_of(sheet, name)))]
+            fits = [name for name in names if name not in dated and _called_so(sheet, name, pattern)]
             finer = [name for name in fits if not _coarse(sheet, name)]
             if best is not None and (pattern is _COUNTERS or not finer):
                 continue
@@ -157,6 +162,19 @@ def _falls(sheet: Sheet, name: str) -> bool:
     return find_jump(known * seconds, Clock(name, seconds)) is not None
 
 
+def _strays(sheet: Sheet, name: str) -> bool:
+    """Whether a column called as time is rises but for a few falls of any kind."""
+    step = np.diff(_known(sheet, name))
+    few = len(step) >= 10 and bool((step < 0).mean() <= _FALLS and (step > 0).mean() > 0.5)
+    return few and _called_so(sheet, name, TIME_NAME)
+
+
+def _called_so(sheet: Sheet, name: str, pattern: re.Pattern[str]) -> bool:
+    """Whether a column has the name of a time, or of what a pattern says."""
+    last = _bare(last_of(sheet, name))
+    return pattern.search(last) is not None or (pattern is TIME_NAME and is_time_unit(last))
+
+
 def _ticks_evenly(values: Array) -> bool:
     """Whether numbers rise by nearly the same step from row to row, as a clock does under whatever name."""
     step = np.diff(values[np.isfinite(values)])
@@ -178,17 +196,21 @@ def _of_column(sheet: Sheet, name: str) -> TimeFound:
         line = f"time = {{ {keys[0]}, rate_hz = {RATE_HZ}, assumed = true }}   # it counts rows; UNKNOWN: their rate"
         return TimeFound((name,), "rows", f"{called.strip()} rises throughout; {why}", line, t)
     keys += [] if name in sheet.clocks else [f'unit = "{unit}"']
-    moves = "rises throughout"
+    moves, doubt = "rises throughout", ""
     if jump is not None and jump.period_s is not None:
         keys.append('jumps = "mend"')
         moves = f"rises, and rolls over at {jump.period}"
         at = np.flatnonzero(np.isfinite(t))
         t[at] = counting_on(t[at], jump)
-    elif jump is not None:
-        moves = f"rises, but for a step at row {int(jump.rows[0])}"
-    keys += _repeated(known)
+    elif (np.diff(known) < 0).any():
+        treated = treatment(known * seconds, jump, name)
+        moves, doubt = treated.moves, treated.doubt
+        keys += treated.keys
+        t[np.isfinite(t)] = treated.seconds
+    keys += [key for key in _repeated(known) if not any(other.startswith("repeated") for other in keys)]
     calendar = name in sheet.clocks or float(np.abs(known).max()) * seconds > 1e8
-    return TimeFound((name,), unit, f"{called.strip()} {moves}; {why}", f"time = {{ {', '.join(keys)} }}", t, calendar)
+    line = f"time = {{ {', '.join(keys)} }}"
+    return TimeFound((name,), unit, f"{called.strip()} {moves}; {why}", line, t, calendar, doubt)
 
 
 def _repeated(known: Array) -> list[str]:
@@ -210,9 +232,11 @@ def _unit(sheet: Sheet, name: str) -> tuple[str, str]:
     values = _known(sheet, name)
     step = np.diff(values)
     usual = float(np.median(step[step > 0]))
-    stated = sheet.units.get(name) or unit_in_name(name, TIME)
+    stated = sheet.units.get(name) or unit_in_name(name, TIME) or time_unit(_bare(last_of(sheet, name)))
     if stated in TIME:
         return stated, f"its unit {stated} is stated"
+    if (counts := counts_of_roll(values, usual)) is not None:
+        return counts
     largest = float(np.abs(values).max())
     for limit, unit in ((1e17, "ns"), (1e14, "us"), (1e11, "ms"), (1e8, "s")):
         if largest > limit and usual * TIME[unit] < 1000.0:

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from softmap_edge.errors import RunError
 from softmap_edge.logs.clock import kept, times_of
+from softmap_edge.logs.fills import LARGEST, without_fills
 from softmap_edge.logs.mapping import Clock, Log
 from softmap_edge.logs.measured import Column
 from softmap_edge.logs.readers.cells import find_delimiter
@@ -39,7 +40,6 @@ _VENDORS: dict[str, Callable[[Path], Columns]] = {
     "nexus": open_nexus,
     "typed": open_typed,
 }
-LARGEST = 1e20  # of any cell, whatever its unit: times in nanoseconds since 1970 are 2e18
 _TOLD = 6  # columns that are named
 _NAMED = 8  # missing columns that are named
 _WIDTH = 200  # characters of a list of columns
@@ -132,13 +132,13 @@ def read_log(path: Path, log: Log, columns: Columns | None = None) -> LogTable:
     if isinstance(columns, TextColumns):
         for clock in clocks:
             columns.refuse_words(clock)
-    cells = _finite(_cut(path, cells, log), places, names)
+    cells = without_fills(_finite(_cut(path, cells, log), places, names), [names[k] for k in places])
     _within_reason(path, columns.where, cells, places, names)
     cells, aside = _set_aside(columns.where, cells, [places.index(clock) for clock in clocks])
     t = raw_times(path, columns, cells, places, log.clock)
     times = times_of(path, columns.where, cells, t, log.clock, [places.index(clock) for clock in clocks])
     values = dict(zip(places, times.cells.numbers.T))
-    doubts = (*times.doubts, *_assumed(log.clock, len(times.t)))
+    doubts = (*cells.doubts, *times.doubts, *_assumed(log.clock, len(times.t)))
     notes = (*cells.notes, *aside, *times.notes)
     return LogTable(path, times.t, names, columns.units, values, times.cells.labels, notes, doubts)
 

@@ -4,7 +4,8 @@ A triple is found by its names: `tip_x, tip_y, tip_z`, `x1, y1, z1`, `p_tip(1), 
 rates are triples too. Three things decide, in this order:
 
     name    `force`, `rpy`, `omega`: no place. `tip`, `marker`, `position`, a column whose unit is a length: a place
-    values  a triple that never changes is an offset; one whose length stays 1 or 9.81 is a direction or gravity
+    values  a triple that never changes is an offset; one whose length stays 1 or 9.81 is a direction or gravity; one
+            that is called desired or computed and follows a place was not seen (`goals.py`)
     size    any other name counts as a place only if it fits the places: near them, within a factor `FITS` of their
             distance from the origin, and not within ±π, where angles and unit vectors are
 
@@ -21,6 +22,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from softmap_edge.logs.goals import follows, is_computed, is_drive, is_goal
+from softmap_edge.logs.plausible import is_base
+
 Array = NDArray[np.float64]
 Rows = Callable[[list[str]], Array]
 
@@ -28,6 +32,7 @@ FITS = 100.0  # times larger or smaller than the places: markers of one robot di
 NEAR = 10.0  # times the extent of the places, and 0.9 of their distance from the origin: how far apart markers are
 LONGEST = 200  # characters of a name
 STEADY = 1e-3  # of its length, by which a triple of constant length varies
+_OFFSET = "an offset, for they never change"
 DIRECTIONS = (1.0, 9.81)  # the length of a direction, and of gravity in m/s²
 
 _OTHER: tuple[tuple[str, str], ...] = (
@@ -42,9 +47,6 @@ _OTHER: tuple[tuple[str, str], ...] = (
     ("an error or a spread", r"err|std|var|cov|sigma|resid|unc"),
 )
 _NAMELESS = re.compile("unlabel", re.IGNORECASE)
-_DRIVE = re.compile(
-    r"cmd|command|goal|desired|target|refer|_ref|set_?p|joint_?stat|servo|motor|enc|present|tendon", re.IGNORECASE
-)
 _PLACE = re.compile(
     r"tip|end|eef|tcp|mark|mk|led|tag|point|pnt|pos|place|loc|trans|coord|body|bodies|rigid|base|clamp|frame|mount|"
     r"node|vert|bead|dot|seg|sec|disk|disc|tool|hand|wrist|elbow|head|finger|joint|link|object|mocap|vicon|opti|"
@@ -101,13 +103,37 @@ def find_triples(names: Sequence[str], bare: Sequence[str], rows: Rows, is_lengt
     """
     found = list(_triples(list(names), list(bare), rows))
     fours = [columns for columns, _ in found if len(columns) == 4]
-    turned = [LeftOut(tuple(four), "a quaternion") for four in fours if np.nanmax(np.nanstd(rows(four), axis=0)) > 0]
+    turned = [LeftOut(tuple(four), "a quaternion") for four in fours]
     candidates = [_candidate(one, stem, rows, is_length) for one, stem in found if len(one) == 3]
     accepted, left = _classified(_families(candidates))
+    accepted, unseen = _seen_only(accepted, list(_goals(list(names), list(bare))), rows)
     order = {one.columns[0]: k for k, one in enumerate(candidates)}
     places = sorted((one.columns for family in accepted for one in family), key=lambda columns: order[columns[0]])
     loose = [one.columns for family in accepted for one in family if not one.named]
-    return Triples(places, [*sorted(left, key=lambda one: order[one.columns[0]]), *turned], loose)
+    return Triples(places, [*sorted(left, key=lambda one: order[one.columns[0]]), *unseen, *turned], loose)
+
+
+def _seen_only(
+    accepted: list[list[_Candidate]], goals: list[list[str]], rows: Rows
+) -> tuple[list[list[_Candidate]], list[LeftOut]]:
+    """Return the families of places that were seen, and the triples that repeat the motion of one of them."""
+    stems = [one.stem for family in accepted for one in family]
+    doubtful = [family for family in accepted if is_computed(family[0].stem, stems)]
+    seen = [family for family in accepted if family not in doubtful]
+    places = [one.columns for family in seen for one in family]
+    left = []
+    for columns in [*(one.columns for family in doubtful for one in family), *goals]:
+        leader = next((place for place in places if follows(rows(columns), rows(place))), None)
+        if leader is not None:
+            left.append(LeftOut(tuple(columns), f"a desired or computed place by the name, and follow {leader[0]}"))
+    gone = {one.columns for one in left}
+    kept = [[one for one in family if tuple(one.columns) not in gone] for family in accepted]
+    return [family for family in kept if family], left
+
+
+def _goals(names: list[str], bare: list[str]) -> Iterator[list[str]]:
+    """Yield the triples whose names mark them as goals."""
+    return (columns for columns, stem in _by_letter(names, bare) if len(columns) == 3 and is_goal(stem))
 
 
 def _families(candidates: list[_Candidate]) -> list[list[_Candidate]]:
@@ -122,11 +148,16 @@ def _classified(families: list[list[_Candidate]]) -> tuple[list[list[_Candidate]
     """Return the families of triples that are places, and the others with the reason."""
     left: list[LeftOut] = []
     standing: list[list[_Candidate]] = []
+    moves = any(
+        one.other is None and one.extent > 0 and (one.named or one.largest > np.pi)
+        for family in families
+        for one in family
+    )
     for family in families:
         why = family[0].other
-        still = [one for one in family if one.steady is not None]
-        if why is None and len(still) == len(family) and not family[0].named:
-            why = still[0].steady
+        steady = {one.steady for one in family}
+        if why is None and None not in steady and (not family[0].named or (moves and _never_changes(family))):
+            why = family[0].steady
         if why is None:
             standing.append(family)
         else:
@@ -144,6 +175,11 @@ def _classified(families: list[list[_Candidate]]) -> tuple[list[list[_Candidate]
         else:
             left += [LeftOut(tuple(one.columns), why) for one in family]
     return named, left
+
+
+def _never_changes(family: list[_Candidate]) -> bool:
+    """Whether triples never change, such as the place of a camera; markers on the clamp may rest."""
+    return all(one.steady == _OFFSET and not is_base(one.stem) for one in family)
 
 
 def _by_size(families: list[list[_Candidate]]) -> tuple[list[list[_Candidate]], list[list[_Candidate]]]:
@@ -210,7 +246,7 @@ def _steady(points: Array, length: Array) -> str | None:
     if len(points) < 3:
         return None
     if not np.ptp(points, axis=0).any():
-        return "an offset, for they never change"
+        return _OFFSET
     middle = float(np.median(length))
     usual = any(abs(middle - size) < 0.02 * size for size in DIRECTIONS)
     if usual and float(np.quantile(np.abs(length - middle), 0.9)) < STEADY * middle:
@@ -260,7 +296,7 @@ def _pairs(names: list[str], bare: list[str], rows: Rows) -> Iterator[tuple[list
         for at in _letters(name):
             upper = name[at] == "X"
             second, third = (name[:at] + (axis.upper() if upper else axis) + name[at + 1 :] for axis in "yz")
-            if second in where and third not in where and not _DRIVE.search(name):
+            if second in where and third not in where and not is_drive(name):
                 columns = [names[where[one]] for one in (name, second)]
                 points = rows(columns)
                 points = points[np.isfinite(points).all(axis=1)]
@@ -274,7 +310,7 @@ def _triples(names: list[str], bare: list[str], rows: Rows) -> Iterator[tuple[li
     """Yield three columns and what their names share, for each triple that holds numbers."""
     used: set[str] = set()
     for triple, stem in [*_by_letter(names, bare), *_by_number(names, bare)]:
-        if used & set(triple) or _DRIVE.search(stem) or not np.isfinite(rows(triple)).all(axis=1).any():
+        if used & set(triple) or is_drive(stem) or not np.isfinite(rows(triple)).all(axis=1).any():
             continue
         used |= set(triple)
         yield triple, stem

@@ -6,6 +6,7 @@ import csv
 import re
 
 from softmap_edge.logs.mapping import ANGLE, LENGTH, TIME
+from softmap_edge.logs.readers.thousands import grouping_of
 from softmap_edge.logs.time_text import is_time
 
 DELIMITERS = (",", ";", "\t", "|")
@@ -49,8 +50,8 @@ def find_delimiter(line: str) -> str:
 
 
 def is_number(cell: str) -> bool:
-    """Return whether a cell is a number, with a decimal point or comma."""
-    return is_plain(cell.replace(",", "."))
+    """Return whether a cell is a number, with a decimal point or comma, or with groups of digits that are clear."""
+    return is_plain(cell.replace(",", ".")) or grouping_of(cell) is not None
 
 
 def is_plain(cell: str) -> bool:

@@ -22,6 +22,7 @@ class Cells:
         lines: (rows,) the line (or frame, or message) of the file that holds each row, for messages.
         notes: what the reader did, a sentence each.
         rows: (rows,) the number of each row in its log, from 0; None before any row was left out.
+        doubts: what looks wrong, a sentence each.
     """
 
     numbers: Array
@@ -29,6 +30,7 @@ class Cells:
     lines: NDArray[np.int64]
     notes: tuple[str, ...] = ()
     rows: NDArray[np.int64] | None = None
+    doubts: tuple[str, ...] = ()
 
 
 class Columns(Protocol):

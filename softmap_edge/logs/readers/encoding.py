@@ -1,6 +1,7 @@
-"""Find the encoding of a text log: UTF-8, or Windows-1252 (latin-1) where it is clearly that.
+"""Find the encoding of a text log: UTF-8, UTF-16 and UTF-32, or Windows-1252 (latin-1) where it is clearly that.
 
-Pinned by tests/test_encoding.py.
+UTF-16 is recognised without a byte order mark as well: next to nearly each letter there is a zero byte, always on the
+same side. Pinned by tests/test_encoding.py and tests/test_wide_encoding.py.
 """
 
 from __future__ import annotations
@@ -12,6 +13,15 @@ from pathlib import Path
 from softmap_edge.errors import RunError
 
 _BLOCK = 2**22  # bytes read at a time
+_HEAD = 4096  # bytes that tell UTF-16 and UTF-32
+_MARKS = (
+    (codecs.BOM_UTF32_LE, "utf-32"),
+    (codecs.BOM_UTF32_BE, "utf-32"),
+    (codecs.BOM_UTF16_LE, "utf-16"),
+    (codecs.BOM_UTF16_BE, "utf-16"),
+)
+PLAIN = "utf-8-sig"
+_MOST = 0.9  # of the letters: so many have a zero byte
 _UNDEFINED = bytes(range(9)) + bytes(range(14, 32)) + b"\x7f\x81\x8d\x8f\x90\x9d"  # no text in Windows-1252
 _FOREIGN = 0.1  # of the bytes: a log of numbers holds fewer letters beyond ASCII
 
@@ -23,6 +33,10 @@ def encoding_of(path: Path) -> tuple[str, str | None]:
         OSError: the file cannot be read.
         RunError: it is text in neither encoding.
     """
+    with path.open("rb") as file:
+        wide = encoding_of_start(file.read(_HEAD))
+    if is_wide(wide):
+        return wide, None
     state = path.stat()
     return _encoding(path, state.st_mtime_ns, state.st_size)
 
@@ -40,7 +54,7 @@ def _encoding(path: Path, changed: int, size: int) -> tuple[str, str | None]:
                 at = max(fault.start - pending, 0)  # the decoder held some bytes back
                 return _other(path, line + block.count(b"\n", 0, at), before + at)
             if not block:
-                return "utf-8-sig", None
+                return PLAIN, None
             line, before, pending = line + block.count(b"\n"), before + len(block), len(decoder.getstate()[0])
 
 
@@ -50,7 +64,7 @@ def _other(path: Path, line: int, byte: int) -> tuple[str, str | None]:
     with path.open("rb") as file:
         while block := file.read(_BLOCK):
             if b"\0" in block:
-                return "utf-8-sig", None
+                return PLAIN, None
             high += len(block.translate(None, bytes(range(128))))
             odd += len(block) - len(block.translate(None, _UNDEFINED))
             size += len(block)
@@ -60,3 +74,20 @@ def _other(path: Path, line: int, byte: int) -> tuple[str, str | None]:
             "(latin-1); save the log as UTF-8: `iconv -f ENCODING -t UTF-8 LOG > NEW`"
         )
     return "cp1252", f"line {line} is not UTF-8; the file was read as Windows-1252 (latin-1)"
+
+
+def encoding_of_start(start: bytes) -> str:
+    """Return the encoding of a text that begins with these bytes."""
+    for mark, name in _MARKS:
+        if start.startswith(mark):
+            return name
+    start = start[: len(start) // 2 * 2]
+    for name, zeros, letters in (("utf-16-le", start[1::2], start[::2]), ("utf-16-be", start[::2], start[1::2])):
+        if len(zeros) > 3 and zeros.count(0) >= _MOST * len(zeros) and 0 not in letters:
+            return name
+    return PLAIN
+
+
+def is_wide(encoding: str) -> bool:
+    """Whether an encoding has zero bytes in ordinary text."""
+    return encoding.startswith(("utf-16", "utf-32"))

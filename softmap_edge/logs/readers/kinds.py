@@ -10,6 +10,7 @@ import zipfile
 from pathlib import Path
 
 from softmap_edge.errors import RunError
+from softmap_edge.logs.readers.encoding import encoding_of_start, is_wide
 from softmap_edge.logs.readers.mcap_file import MAGIC
 from softmap_edge.logs.readers.mocap import is_motive, is_trc
 from softmap_edge.logs.readers.packed import GZIP, ZSTD
@@ -21,6 +22,7 @@ from softmap_edge.npz import check_directory
 RECORDINGS = ("mcap", "db3")  # several topics, stamped with the time of recording
 ARRAYS = ("npz", "npy", "mat", "hdf5", "parquet")
 PACKED = ("zstd", "gzip")
+BINARY = (*RECORDINGS, *ARRAYS, "c3d")
 HDF5 = b"\x89HDF\r\n\x1a\n"
 _HEAD = 4096  # bytes of a file that are tested
 _SURE = 8  # letters with which a text hardly begins
@@ -94,9 +96,17 @@ def kind_of(path: Path) -> str:
     ending = path.suffix.lower()[1:]
     if ending in ("c3d", "trc", "mat", "mcap"):
         return ending
-    text = start.removeprefix(b"\xef\xbb\xbf").decode("latin-1")
+    text = _decoded(start)
     _refuse_calibration(path, text)
     return next((kind for kind, begins in _TEXTS.items() if begins(text)), "csv")
+
+
+def _decoded(start: bytes) -> str:
+    """Return the first bytes of a file as text."""
+    encoding = encoding_of_start(start)
+    if is_wide(encoding):
+        return start.decode(encoding, "ignore")
+    return start.removeprefix(b"\xef\xbb\xbf").decode("latin-1")
 
 
 def _refuse_foreign(path: Path, start: bytes) -> None:

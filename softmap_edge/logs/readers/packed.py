@@ -1,7 +1,8 @@
 """Unpack a log that was packed as a file: `.mcap.zstd` of rosbag2, `.csv.gz`.
 
 The unpacked file lies in a temporary folder as long as the object that `unpack` returns is kept. At most LIMIT bytes
-are unpacked, and never more than half of what is free on the disk; checksums that the packing carries are checked.
+are unpacked, of a text log no more than is read of one, and never more than half of what is free on the disk. A file
+that grows more than `_DENSEST`-fold is refused early. Checksums that the packing carries are checked.
 """
 
 from __future__ import annotations
@@ -21,6 +22,9 @@ from softmap_edge.errors import RunError, brief
 ZSTD = b"\x28\xb5\x2f\xfd"
 GZIP = b"\x1f\x8b\x08"
 LIMIT = 2**32  # bytes when unpacked
+_UNSUSPECTED = 2**28  # bytes unpacked, below which their ratio to the packed ones is not looked at
+_DENSEST = 200  # times smaller when packed: a log of one repeated line reaches it, no recording does
+_NESTED = ("zstd", "gzip")  # refused when unpacked
 _PIECE = 2**20  # bytes at a time
 _SMALL = 2**11  # packed bytes at a time: each block of 4 bytes may unpack to 128 KiB
 ZSTD_WINDOW = 2**27  # bytes that zstd may look back: what `zstd -d` takes
@@ -60,16 +64,43 @@ def _unpack(path: Path, file: Path) -> None:
     try:
         with path.open("rb") as packed, file.open("wb") as plain:
             for piece in _pieces(path, packed):
+                plain.write(piece[: max(room - total, 0)])
+                if total == 0:
+                    plain.flush()
+                    room = min(room, _limit_of(path, file))
                 total += len(piece)
                 if total > room:
                     raise RunError(
                         f"{path}: holds more than {room} bytes when unpacked; unpack it yourself and split it"
                     )
-                plain.write(piece)
+                if total > _UNSUSPECTED and total > _DENSEST * packed.tell():
+                    raise RunError(
+                        f"{path}: unpacks to more than {_DENSEST} times its size, as no recording does; unpack it "
+                        "yourself and look at it"
+                    )
     except (EOFError, gzip.BadGzipFile, zlib.error) as fault:
         raise RunError(f"{path}: is a damaged packed file ({brief(fault)}); copy it again") from None
     except OSError as cause:
         raise RunError(f"{path}: cannot be unpacked ({cause.strerror or cause}); unpack it yourself") from cause
+
+
+def _limit_of(path: Path, file: Path) -> int:
+    """Return the most bytes of a file that are read, by its first bytes.
+
+    Raises:
+        RunError: it is of a format that is not read.
+    """
+    from softmap_edge.logs.readers.kinds import BINARY, kind_of  # imports this module
+    from softmap_edge.logs.readers.text import LIMIT as TEXT
+
+    with file.open("rb") as start:
+        if start.read(2) == b"PK":  # its directory is at the end
+            return LIMIT
+    try:
+        kind = kind_of(file)
+    except RunError as fault:
+        raise RunError(str(fault).replace(str(file), str(path))) from None
+    return LIMIT if kind in BINARY or kind in _NESTED else TEXT
 
 
 def _pieces(path: Path, packed: BinaryIO) -> Iterator[bytes]:

@@ -14,22 +14,30 @@ import csv
 import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import islice, takewhile
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.errors import RunError
+from softmap_edge.logs.readers.between import Between, without_heads
 from softmap_edge.logs.readers.cells import find_delimiter, is_number, is_plain, split
 from softmap_edge.logs.readers.columns import Array, Cells
-from softmap_edge.logs.readers.encoding import encoding_of
+from softmap_edge.logs.readers.encoding import PLAIN, encoding_of, is_wide
+from softmap_edge.logs.readers.ending import RECENT, cut_within, lines_below
 from softmap_edge.logs.readers.header import LINES, Table, find_table, widths_of
+from softmap_edge.logs.readers.thousands import grouping_of
+from softmap_edge.logs.readers.thousands import plain as ungrouped
 from softmap_edge.logs.readers.words import EMPTY, Words, is_text, is_word
 from softmap_edge.logs.time_text import TimeText, TimeTextError, time_text_of
 
 LIMIT = 2**30  # bytes of one log: about 5 million rows of 16 columns
 LONGEST = 2**20  # characters of one line: 50 000 columns
 _BLOCK = 2**22  # characters read at a time
+_BLANK = 2**20  # blank lines at the end that are held back together with those to skip
+_HEADS = 60  # lines above the rows that are compared with the lines between them
+NO_NUMBER = "; use one decimal mark and no marks between groups of digits, or export the log again"
 _FIRST = 200  # rows whose text decides what a column holds
 
 
@@ -52,6 +60,8 @@ class TextColumns:
     clocks: dict[int, TimeText] = field(default_factory=dict)  # columns of dates or times, read as s
     words: Words = field(default_factory=Words)  # of the last reading
     head_line: int | None = None  # the number of the line that names the columns
+    head: tuple[str, ...] = ()  # the lines above the rows that hold no numbers; loggers write them again
+    grouped: str | None = None  # the mark between groups of three digits
 
     def texts(self, rows: int) -> dict[str, list[str]]:
         """Return the columns that hold text in the first rows, with that text; times are no text."""
@@ -95,13 +105,17 @@ class TextColumns:
         known: dict[str, str] = {}  # one object for each distinct label
         count = 0
         self.words.found.clear()
+        between, recent = Between(), list[str]()
         for first, block in _held_back(_blocks(self.path, self.first, self.stop), self.skip_last):
             numbers = np.arange(first, first + len(block))
             if not all(map(str.strip, block)):
                 kept = [k for k, line in enumerate(block) if line.strip()]
                 numbers, block = numbers[kept], [block[k] for k in kept]
+            if block:
+                block, numbers = between.rows(block, numbers, self.head, self.delimiter, len(self.names))
             if not block:
                 continue
+            recent = [*recent, *block[-RECENT:]][-RECENT:]
             cells, texts = self._block(block, numbers, plain, asked)
             parts.append(cells)
             lines.append(numbers)
@@ -115,18 +129,34 @@ class TextColumns:
             raise RunError(f"{self.path}: holds no rows; give a log that holds data, or fewer skip_rows")
         found = np.array(labels) if label is not None else None
         at = np.concatenate(lines)
-        blank = int(at[-1]) - self.first + 1 - count
-        notes = (*self.notes, *((f"{blank} blank lines were left out",) if blank else ()), *self._worded(count))
+        blank = int(at[-1]) - self.first + 1 - count - sum(line < at[-1] for line in between.found)
+        notes = (
+            *self.notes,
+            *((f"{blank} blank lines were left out",) if blank else ()),
+            *between.lines(),
+            *self._worded(count),
+        )
+        doubts = self._cut(recent, int(at[-1])) if rows is None and self.skip_last == 0 else ()
         table, more = self._joined(np.concatenate(parts), places, {k: np.concatenate(v) for k, v in times.items()})
-        return Cells(table, found, at, (*notes, *more))
+        return Cells(table, found, at, (*notes, *more), doubts=doubts)
+
+    def _cut(self, recent: list[str], line: int) -> tuple[str, ...]:
+        """Return a doubt if the file seems to end within its last cell."""
+        last = cut_within(self.path, recent, self.delimiter)
+        if last is None:
+            return ()
+        return (
+            f"the file may be cut within its last cell: line {line} ends in '{last[:40]}' without a line end, and is "
+            f"shorter there than the {len(recent) - 1} rows above: set skip_last_rows = 1 to leave the row out",
+        )
 
     def refuse_words(self, column: int) -> None:
         """Raise RunError if a column that was read, such as the time, holds a word."""
         for (other, word), (_, line) in self.words.found.items():
             if other == column:
                 raise RunError(
-                    f"{self.path}: line {line}, column {self.names[column]}: '{word}' is not a number; correct or "
-                    "remove the line"
+                    f"{self.path}: line {line}, column {self.names[column]}: '{word}' is not a number; "
+                    f"{self._below(word) or 'correct or remove the line'}"
                 )
 
     def _worded(self, rows: int) -> tuple[str, ...]:
@@ -195,7 +225,7 @@ class TextColumns:
     def _fast(self, block: list[str], places: list[int]) -> Array | None:
         """A block by numpy's compiled reader; None where it stumbles or lines differ in cells."""
         cut, mark = len(self.names) - 1, self.delimiter
-        if any(line.count(mark) != cut for line in block):
+        if self.grouped == "." or any(line.count(mark) != cut for line in block):
             return None
         for attempt in range(2):
             if attempt:  # once more with empty cells as NaN
@@ -224,6 +254,11 @@ class TextColumns:
         cells = np.empty((len(rows), len(places)))
         for k, row in enumerate(rows):
             self._complete(row, int(numbers[k]))
+            if self.header and row[0].strip() in self.names and {*map(str.strip, row)} == {*self.names}:
+                raise RunError(
+                    f"{self.path}: line {numbers[k]} names the columns again, in another order; cut the log there, and "
+                    "import each part"
+                )
             for j, column in enumerate(places):
                 cells[k, j] = self._number(row[column].strip(), int(numbers[k]), column)
         return cells, [[row[place].strip() for row in rows] for place in asked]
@@ -244,18 +279,34 @@ class TextColumns:
             return "if the table begins in another line, set skip_rows to the number of lines above its names"
         if count > len(self.names):
             return "cells of the line are not named: correct the line, or the delimiter"
+        if below := self._below(None):
+            return below
         return "the file may be cut short: remove the line, or set skip_last_rows"
+
+    def _below(self, word: str | None) -> str:
+        """Return the remedy for lines below the table; with a word, only if one of them begins so."""
+        below = lines_below(self.path, self.delimiter, len(self.names)) if self.skip_last == 0 else []
+        if not below or (word is not None and not any(line.lstrip('" ').startswith(word) for line in below)):
+            return ""
+        lines = "line at the end is no row" if len(below) == 1 else "lines at the end are no rows"
+        return f"{len(below)} {lines} ('{below[0][:40]}'): set skip_last_rows = {len(below)}"
 
     def _number(self, cell: str, line: int, column: int) -> float:
         if cell.lower() in EMPTY:
             return np.nan
+        if self.grouped == "." and (whole := ungrouped(cell, self.grouped)) is not None:
+            return float(whole)
         plain = cell.replace(",", ".") if self.decimal == "," else cell
         if is_plain(plain):
             return float(plain)
         if is_word(cell):
             self.words.take(cell, column, line)
             return np.nan
-        hint = '; set decimal = "," in the mapping' if "," in cell else ""
+        if (whole := ungrouped(cell, self.grouped)) is not None and is_plain(whole):
+            return float(whole)
+        hint = ""
+        if "," in cell:
+            hint = '; set decimal = "," in the mapping' if self.decimal == "." and is_number(cell) else NO_NUMBER
         raise RunError(f"{self.path}: line {line}, column {self.names[column]}: '{cell[:40]}' is not a number{hint}")
 
 
@@ -287,7 +338,7 @@ def open_text(
     at = next((k for k, line in enumerate(start) if line.strip() and line.lstrip()[0] not in "#%"), len(start))
     if at == len(start):
         raise RunError(f"{path}: holds no lines after {skip_rows} skipped ones; give a log that holds data")
-    table = find_table(start, delimiter, EMPTY)
+    table = find_table(without_heads(start), delimiter, EMPTY)
     if table is None:  # no line of numbers: the first line is taken for names
         cut = delimiter or find_delimiter(start[at])
         names = split(start[at], cut)
@@ -299,8 +350,8 @@ def open_text(
         first = table.header if table.header is not None and _is_row(start[table.header], table) else table.first
         names = [str(k) for k in range(table.width)]
     head = start[: first if table.header is None else table.header]
-    above = sum(1 for line in head if line.strip() and line.lstrip()[0] not in "#%")
-    notes = [f"lines above the table were skipped: {above}"] if above else []
+    skipped = sum(1 for line in head if line.strip() and line.lstrip()[0] not in "#%")
+    notes = [f"lines above the table were skipped: {skipped}"] if skipped else []
     notes += ["the line below the header is units"] if table.units and header is not False else []
     if table.fewest < table.width:
         notes.append(f"rows of {table.fewest} to {table.width - 1} cells, as there are many, end in empty cells")
@@ -314,7 +365,21 @@ def open_text(
         columns = replace(columns, head_line=skip_rows + 1 + table.header)
     if decimal is None and _decimal_commas(columns, start[first : first + 20]):
         columns = replace(columns, decimal=",", notes=(*columns.notes, "numbers have decimal commas"))
-    return columns.with_clocks(order)
+    above = [line for line in start[:first] if any(map(str.isalpha, line)) and not _is_row(line, table)]
+    columns = replace(columns, head=tuple(above[-_HEADS:]) if named else ())
+    return _grouped(columns, start[first : first + _FIRST], decimal).with_clocks(order)
+
+
+def _grouped(columns: TextColumns, rows: list[str], decimal: str | None) -> TextColumns:
+    """The same columns, which read digits in groups of three if the first rows have them."""
+    cells = (cell for row in rows for cell in split(row, columns.delimiter))
+    example = next((cell for cell in cells if grouping_of(cell) is not None), None)
+    mark = None if example is None else grouping_of(example)
+    if mark is None or mark == decimal:
+        return columns
+    note = f"digits are in groups of three, such as '{example}'"
+    found = decimal or ("," if mark == "." else columns.decimal)
+    return replace(columns, grouped=mark, decimal=found, notes=(*columns.notes, note))
 
 
 def _no_names(start: list[str], table: Table, skipped: int) -> str:
@@ -379,13 +444,14 @@ def lines_that(path: Path, fits: Callable[[str], bool], most: int = 100) -> list
 
 def _blocks(path: Path, first: int, stop: int | None = None) -> Iterator[tuple[int, list[str]]]:
     """The lines from number `first` on, to before `stop`, some thousand at a time, with the number of the first."""
-    number, rest = 1, ""
+    number, rest, encoding = 1, "", PLAIN
     try:
         if not path.is_file():
             raise RunError(f"{path}: {'a folder' if path.is_dir() else 'cannot be read'}; give the path of a log")
         if path.stat().st_size > LIMIT:
             raise RunError(f"{path}: {path.stat().st_size} bytes, at most {LIMIT} are read; split the log")
-        with path.open(encoding=encoding_of(path)[0]) as file:
+        encoding = encoding_of(path)[0]
+        with path.open(encoding=encoding) as file:
             while text := file.read(_BLOCK):
                 if "\0" in text:
                     raise RunError(f"{path}: holds zero bytes; the file is damaged or not a CSV log")
@@ -404,6 +470,10 @@ def _blocks(path: Path, first: int, stop: int | None = None) -> Iterator[tuple[i
     except OSError as cause:
         raise RunError(f"{path}: cannot be read ({cause.strerror or cause}); give the path of a log") from cause
     except UnicodeDecodeError as cause:
+        if is_wide(encoding):
+            raise RunError(
+                f"{path}: is damaged text in {encoding.upper()} ({cause.reason}); export it again"
+            ) from cause
         if b"\0" in cause.object:
             raise RunError(f"{path}: is not text; give the log of a recording, as CSV") from cause
         raise RunError(f"{path}: is not text in UTF-8 (byte {cause.start} of a part); save the log as UTF-8") from cause
@@ -418,13 +488,17 @@ def _held_back(blocks: Iterator[tuple[int, list[str]]], count: int) -> Iterator[
     for first, lines in blocks:
         start = start if held else first
         held += lines
-        if count == 0:
-            yield start, held
-            held = []
-        elif len(held) > 2 * count:  # blank lines at the end are not counted among them
-            yield start, held[:-count]
-            start, held = start + len(held) - count, held[-count:]
+        keep = count + (_blank_at_end(held) if count else 0)  # blank lines at the end are not counted among them
+        if len(held) > keep:
+            yield start, held[: len(held) - keep]
+            start, held = start + len(held) - keep, held[len(held) - keep :]
     while count and held and not held[-1].strip():
         held.pop()
     if count and len(held) > count:
         yield start, held[:-count]
+
+
+def _blank_at_end(lines: list[str]) -> int:
+    """How many lines at the end are blank, at most `_BLANK`."""
+    blank = takewhile(lambda line: not line.strip(), islice(reversed(lines), _BLANK))
+    return sum(1 for _ in blank)

@@ -1,0 +1,74 @@
+"""Order the groups of columns that may be commands or encoders, and leave out those that cannot be.
+
+Values decide before names: columns that move come before constants, and unit quaternions are no encoders. Goals in x,
+y, z come last, since a controller of places logs them next to the commands of its motors. Pinned by
+tests/test_drive_roles.py.
+"""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softmap_edge.logs.goals import is_goal
+from softmap_edge.logs.guess_columns import Role, Sheet
+from softmap_edge.logs.triples import LeftOut
+
+Array = NDArray[np.float64]
+Pair = tuple[Sheet, Role]
+_UNIT = 1e-2  # of the length of a quaternion
+_AXIS = re.compile(r"[xyz]")
+
+
+def drives_of(roles: list[Pair]) -> tuple[list[Pair], list[Pair], list[tuple[Sheet, LeftOut]]]:
+    """Return the groups that may be commands, those that may be encoders, each the most likely first, and the rest.
+
+    Args:
+        roles: the groups of columns of all logs, with their logs.
+    """
+    drives = [pair for pair in roles if pair[1].kind in ("command", "present")]
+    left = [(sheet, LeftOut(tuple(role.columns), why)) for sheet, role in drives if (why := _no_drive(sheet, role))]
+    gone = {(id(sheet), one.columns) for sheet, one in left}
+    drives = [pair for pair in drives if (id(pair[0]), tuple(pair[1].columns)) not in gone]
+    commands = sorted((pair for pair in drives if pair[1].kind == "command"), key=_command_order)
+    presents = sorted((pair for pair in drives if pair[1].kind == "present"), key=_present_order)
+    return commands, presents, left
+
+
+def moves(pair: Pair) -> bool:
+    """Whether one of the columns of a group changes."""
+    columns = map(pair[0].column, pair[1].columns)
+    return any(len(np.unique(values[np.isfinite(values)])) > 1 for values in columns)
+
+
+def _command_order(pair: Pair) -> tuple[bool, bool, bool, int]:
+    return not moves(pair), _in_space(pair[1].columns), not pair[1].sure, -len(pair[1].columns)
+
+
+def _present_order(pair: Pair) -> tuple[bool, bool, int]:
+    return not moves(pair), not pair[1].sure, -len(pair[1].columns)
+
+
+def _in_space(columns: list[str]) -> bool:
+    """Whether columns are called x, y, z of a goal."""
+    stems = {_AXIS.sub("#", name.lower()) for name in columns}
+    return len(columns) == 3 and len(stems) == 1 and len(set(columns)) == 3 and is_goal(next(iter(stems)))
+
+
+def _no_drive(sheet: Sheet, role: Role) -> str | None:
+    """Return why columns that a name alone suggests are neither commands nor encoders; None if they may be."""
+    rows = sheet.rows_of(role.columns)
+    if not role.sure and role.kind == "present" and not moves((sheet, role)):
+        return "constants, for they never change"
+    fours = [rows[:, k : k + 4] for k in range(0, rows.shape[1], 4)]
+    return "a quaternion, for their length is 1 in all rows" if all(map(_quaternion, fours)) else None
+
+
+def _quaternion(rows: Array) -> bool:
+    """Whether columns (rows, 4) are unit quaternions that turn."""
+    known = rows[np.isfinite(rows).all(axis=1)]
+    if rows.shape[1] != 4 or len(known) < 2 or not np.ptp(known, axis=0).any():
+        return False
+    return bool((np.abs(np.linalg.norm(known, axis=1) - 1.0) < _UNIT).all())

@@ -1,0 +1,77 @@
+"""Recognise triples of columns that describe a place which was not seen: desired by a controller, or computed.
+
+A name such as `target` or `des` marks a desired place. A name such as `sim` or `est` marks a computed one, but a log
+may name what it measured so as well. Values decide then: such a triple follows a marker of the log, near it and with
+its motion. Pinned by tests/test_goals.py.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Collection
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+_DEVICE = re.compile(r"joint_?stat|servo|motor|enc(?!e)|present|tendon", re.IGNORECASE)
+_GOAL = re.compile(r"cmd|command|goal|desired|target|refer|_ref|set_?p", re.IGNORECASE)
+_GOAL_WORDS = {"des", "dsr", "setp"}
+_COMPUTED = re.compile(
+    r"(plan|nominal|ideal|traj|waypoint|predict|model|expect|theor|calc|comput|estim|simul|filter|smooth|refer).*"
+    r"|ref|sp|wp|nom|sim|pred|mod|est|hat|fk|filt"
+)
+_SUFFIX = "d"  # of control theory: x and xd
+_WORD = re.compile(r"[A-Z]?[a-z]+|[A-Z]+|[^\W\d_]+")
+_LEAST = 10  # rows that decide
+_APART = 0.7  # of the motion of a marker: more, and a triple does not follow it
+
+
+def is_drive(stem: str) -> bool:
+    """Whether what the names of a triple share marks a goal, or a device of the drive, and no place that was seen."""
+    return _DEVICE.search(stem) is not None or is_goal(stem)
+
+
+def is_goal(stem: str) -> bool:
+    """Whether what the names of a triple share marks a desired place, and no device."""
+    marked = _GOAL.search(stem) is not None or bool(_GOAL_WORDS & set(_words(stem)))
+    return marked and _DEVICE.search(stem) is None
+
+
+def is_computed(stem: str, others: Collection[str]) -> bool:
+    """Whether what the names of a triple share may mark a desired or computed place: `ref`, `sim`, `tip_est`, `xd`.
+
+    Args:
+        stem: what its names share.
+        others: what the names of the other triples share.
+    """
+    words = _words(stem)
+    rest = [word for word in words if word != _SUFFIX]
+    if len(rest) < len(words) and any(_words(other) == rest for other in others):
+        return True
+    return any(_COMPUTED.fullmatch(word) for word in words)
+
+
+def _words(stem: str) -> list[str]:
+    return [word.lower() for word in _WORD.findall(stem)]
+
+
+def follows(points: Array, place: Array) -> bool:
+    """Whether points (rows, 3) move with a place (rows, 3) and near it; their unit may be m where that is mm.
+
+    Args:
+        points: what is desired or computed.
+        place: a marker.
+    """
+    both = np.isfinite(points).all(axis=1) & np.isfinite(place).all(axis=1)
+    points, place = points[both], place[both]
+    if len(points) < _LEAST:
+        return False
+    extent = float(np.linalg.norm(np.quantile(place, 0.95, axis=0) - np.quantile(place, 0.05, axis=0)))
+    moves = float(np.linalg.norm(place.std(axis=0)))
+    gaps = [points * scale - place for scale in (1.0, 1e-3, 1e3)]
+    return extent > 0 and any(
+        np.median(np.linalg.norm(gap, axis=1)) < extent and np.linalg.norm(gap.std(axis=0)) < _APART * moves
+        for gap in gaps
+    )

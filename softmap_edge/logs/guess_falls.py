@@ -1,0 +1,104 @@
+"""Propose how to read a column of time that falls in some rows, and state what is doubtful about it.
+
+A roll-over shows the unit: a counter of 2^32 counts is no time since 1970. A single step is taken out by `jumps =
+"mend"`. Other falls are left out by `repeated = "drop"` where enough rows remain. Pinned by tests/test_guess_falls.py.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softmap_edge.logs.clock import increasing
+from softmap_edge.logs.set_clock import Jump
+from softmap_edge.logs.time_keys import TIME
+
+Array = NDArray[np.float64]
+_LOST = 0.3  # of the rows: more, and leaving them out does not read the log
+_SAME = 3.0  # usual steps: times so near are the same start
+_BITS = (16, 24, 32)
+_NEAR = 9.0  # usual steps: how near to its period a counter rolls over
+
+
+@dataclass(frozen=True)
+class Treatment:
+    """How a clock that falls is read.
+
+    Attributes:
+        keys: of the mapping.
+        moves: what the column does, as a part of a sentence.
+        doubt: what is not known, a sentence.
+        seconds: (rows,) s as read; they rise nearly throughout.
+    """
+
+    keys: list[str]
+    moves: str
+    doubt: str
+    seconds: Array
+
+
+def treatment(t: Array, jump: Jump | None, name: str) -> Treatment:
+    """Return how a clock that falls in some rows and does not roll over is read.
+
+    Args:
+        t: (rows,) s, finite.
+        jump: the one step that explains the falls; None if none does.
+        name: of the column.
+    """
+    rows = np.flatnonzero(np.diff(t) < 0) + 1
+    first, largest = int(rows[0]), float(-np.diff(t).min())
+    cut = f"or import the log in parts with to_row = {first - 1} and from_row = {first}"
+    if jump is not None and _starts_again(t, first):
+        doubt = f"'{name}' starts again at row {first}, as in a second recording: {cut.removeprefix('or ')}"
+        return Treatment([], f"rises, but starts again at row {first}", doubt, _without_step(t, first))
+    if jump is not None:
+        doubt = (
+            f"whether the clock '{name}' was set back by {largest:.6g} s at row {first}: jumps = \"mend\" takes the "
+            f"step out as if no time had passed; {cut}"
+        )
+        return Treatment(['jumps = "mend"'], f"rises, but for a step at row {first}", doubt, _without_step(t, first))
+    lost = int((~increasing(t)).sum())
+    moves = f"rises, but falls in {len(rows)} of {len(t)} rows (first at row {first}, by up to {largest:.6g} s)"
+    drops = f'repeated = "drop" leaves out {lost} of {len(t)} rows'
+    if lost > _LOST * len(t):
+        doubt = f"why '{name}' falls {len(rows)} times: {drops}, which is too much; {cut.removeprefix('or ')}"
+        return Treatment([], moves, doubt, t)
+    doubt = (
+        f"why '{name}' falls {len(rows)} times (a stray stamp, rows out of order, a clock that was set): {drops}; {cut}"
+    )
+    return Treatment(['repeated = "drop"'], moves, doubt, t)
+
+
+def _starts_again(t: Array, row: int) -> bool:
+    """Whether a clock goes back to its first time, or to 0."""
+    step = np.diff(t)
+    near = _SAME * float(np.median(step[step > 0]))
+    return bool(abs(t[row] - t[0]) <= near or abs(t[row]) <= near)
+
+
+def _without_step(t: Array, row: int) -> Array:
+    step = np.diff(t)
+    later = np.arange(len(t)) >= row
+    return np.asarray(t + later * (float(np.median(step[step > 0])) - step[row - 1]))
+
+
+def counts_of_roll(values: Array, usual: float) -> tuple[str, str] | None:
+    """Return the unit of a counter that rolls over, and why: the one in which its usual step is a robot's; else None.
+
+    Args:
+        values: (rows,) counts, finite.
+        usual: the usual step.
+    """
+    fall = -np.diff(values)
+    fall = fall[fall > 0]
+    if not len(fall):
+        return None
+    for bits in _BITS:
+        left = 2.0**bits - fall
+        rolls = bool(((left > 0) & (left <= _NEAR * usual)).all()) and float(values.max()) <= 2.0**bits
+        unit = next((unit for unit in ("s", "ms", "us", "ns") if 2e-4 <= usual * TIME[unit] < 5.0), None)
+        if rolls and unit is not None and usual != 1.0:
+            return unit, f"it rolls over at 2^{bits} counts, and steps of {usual:.4g} look like {unit}"
+    return None

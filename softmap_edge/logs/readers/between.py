@@ -1,0 +1,99 @@
+"""Leave out lines between the rows of a text log: its head, which a logger writes again, and remarks.
+
+Pinned by tests/test_between.py.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softmap_edge.logs.readers.cells import is_value, split
+
+_LISTED = 3  # lines that are named
+_MARKS = "#%"
+_CUTS = re.compile(r"[,;\t|]")
+
+
+def without_heads(lines: list[str]) -> list[str]:
+    """Return the first lines of a log, in which lines below a row that repeat an earlier line of names are blank.
+
+    Names in another order count as well: both are one table, whatever the second half of it is called.
+    """
+    seen: set[tuple[str, ...]] = set()
+    found, rows = list(lines), False
+    for k, line in enumerate(lines):
+        cells = [cell.strip(' "\r') for cell in _CUTS.split(line)]
+        values = sum(map(is_value, cells))
+        rows = rows or 2 * values > len(cells) > 1
+        if len(cells) < 2 or 2 * values > len(cells) or not any(map(str.isalpha, line)):
+            continue
+        names = tuple(sorted(cells))
+        if rows and names in seen:
+            found[k] = ""
+        seen.add(names)
+    return found
+
+
+@dataclass
+class Between:
+    """The lines that were left out during one reading: their numbers."""
+
+    heads: list[int] = field(default_factory=list)
+    remarks: list[int] = field(default_factory=list)
+
+    @property
+    def found(self) -> list[int]:
+        """The numbers of all lines that were left out."""
+        return [*self.heads, *self.remarks]
+
+    def rows(
+        self, block: list[str], numbers: NDArray[np.int64], head: Sequence[str], mark: str, width: int
+    ) -> tuple[list[str], NDArray[np.int64]]:
+        """Return the lines (and their numbers) without those of the head and remarks, which are counted.
+
+        Args:
+            block: lines that are not blank.
+            numbers: (lines,) of the file.
+            head: the lines above the rows that hold names, units or text.
+            mark: the separator of cells.
+            width: cells of a row.
+        """
+        lines, again = frozenset(head), {tuple(split(line, mark)) for line in head}
+        key = max((cell for cells in again if len(cells) == width for cell in cells), key=_letters, default="")
+        some = [k for k, line in enumerate(block) if line[0] in _MARKS or line in lines or (key and key in line)]
+        gone: set[int] = set()
+        for k in some:
+            cells = split(block[k], mark)
+            if tuple(cells) in again:
+                self.heads.append(int(numbers[k]))
+                gone.add(k)
+            elif block[k][0] in _MARKS and len(cells) != width:
+                self.remarks.append(int(numbers[k]))
+                gone.add(k)
+        if not gone:
+            return block, numbers
+        kept = [k for k in range(len(block)) if k not in gone]
+        return [block[k] for k in kept], numbers[kept]
+
+    def lines(self) -> list[str]:
+        """Return the sentences that name the lines."""
+        told = []
+        if self.heads:
+            told.append(f"lines that repeat the head of the table were left out: {_named(self.heads)}")
+        if self.remarks:
+            told.append(f"remarks between the rows were left out: {_named(self.remarks)}")
+        return told
+
+
+def _letters(cell: str) -> int:
+    return sum(map(str.isalpha, cell))
+
+
+def _named(lines: list[int]) -> str:
+    more = f" and {len(lines) - _LISTED} more" if len(lines) > _LISTED else ""
+    return f"{len(lines)} (line {', '.join(map(str, lines[:_LISTED]))}{more})"

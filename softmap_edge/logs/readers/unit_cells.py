@@ -1,0 +1,55 @@
+"""Refuse a text log whose cells hold a unit behind each number, such as `25.0 mm`, with the remedy.
+
+Pinned by tests/test_unit_cells.py.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from softmap_edge.errors import RunError
+from softmap_edge.logs.readers.cells import is_number, is_unit
+
+_CELL = re.compile(r"[+-]?\d[\d.,]*(?:[eE][+-]?\d+)?\s*([^\d\s.,;:/_-]{1,8})")
+_MOST = 0.9  # of the filled cells
+_LEAST = 3  # filled cells
+_MOSTLY = 0.5  # of the filled cells are plain numbers
+_DISTINCT = 0.2  # of the cells differ: labels of a protocol (`10mm`, `20mm`) are few
+_NAMED = 4  # columns that are named
+
+
+def refuse_unit_cells(path: Path, texts: Mapping[str, Sequence[str]]) -> None:
+    """Raise RunError if columns of text hold measured numbers with one unit.
+
+    Args:
+        path: the log.
+        texts: the first cells of each column of text, by name.
+
+    Raises:
+        RunError: naming the columns, a cell and the remedy.
+    """
+    found = {name: unit for name, cells in texts.items() if (unit := unit_behind(cells)) is not None}
+    if not found:
+        return
+    name, unit = next(iter(found.items()))
+    cell = next(cell for cell in texts[name] if _CELL.fullmatch(cell) and not is_number(cell))
+    more = f" and {len(found) - _NAMED} more" if len(found) > _NAMED else ""
+    raise RunError(
+        f"{path}: columns {', '.join(list(found)[:_NAMED])}{more} hold numbers with a unit, such as '{cell[:30]}'; "
+        f"export the log with numbers only (or remove '{unit}' from the cells), and give the unit in the mapping"
+    )
+
+
+def unit_behind(cells: Sequence[str]) -> str | None:
+    """Return the unit behind the numbers of a column; None if they are labels, or have no unit."""
+    filled = [cell for cell in cells if cell]
+    units = [match[1] for cell in filled if not is_number(cell) and (match := _CELL.fullmatch(cell))]
+    if len(filled) < _LEAST or len(set(units)) != 1:
+        return None
+    if sum(map(is_number, filled)) > _MOSTLY * len(filled):  # here and there
+        return units[0] if is_unit(units[0]) and (len(units[0]) > 1 or not units[0].isalpha()) else None
+    if len(units) < _MOST * len(filled):
+        return None
+    return units[0] if len(set(filled)) > _DISTINCT * len(filled) else None

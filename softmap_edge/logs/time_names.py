@@ -1,0 +1,37 @@
+"""Read the unit of time out of a name that has it as a word: `millis`, `timeMs`, `t_usec`, `Elapsed Seconds`."""
+
+from __future__ import annotations
+
+import re
+
+_WORDS = {
+    "s": ("s", "sec", "secs", "second", "seconds"),
+    "ms": ("ms", "msec", "msecs", "milli", "millis", "millisec", "millisecs", "millisecond", "milliseconds"),
+    "us": ("us", "µs", "μs", "usec", "usecs", "micro", "micros", "microsec", "microsecond", "microseconds"),
+    "ns": ("ns", "nsec", "nsecs", "nano", "nanos", "nanosec", "nanosecs", "nanosecond", "nanoseconds"),
+    "min": ("min", "mins", "minute", "minutes"),
+    "h": ("hour", "hours", "hrs"),
+}
+_UNIT = {word: unit for unit, words in _WORDS.items() for word in words}
+_ALONE = {word for unit, words in _WORDS.items() for word in words if unit in ("ms", "us", "ns")} - {
+    "micro",
+    "nano",
+    "milli",
+}
+_WORD = re.compile(r"[A-Z]?[a-zµμ]+|[A-Z]+")
+
+
+def time_unit(name: str) -> str | None:
+    """Return the unit of time that the last word of a name is; None if it is none."""
+    words = _WORD.findall(name)
+    return _UNIT.get(words[-1].lower()) if words else None
+
+
+def is_time_unit(name: str) -> bool:
+    """Whether a name is nothing but a unit of time below a second, as `millis` of Arduino, or `elapsed` with it."""
+    words = [word.lower() for word in _WORD.findall(name)]
+    return (
+        bool(words)
+        and words[-1] in _ALONE
+        and set(words[:-1]) <= {"elapsed", "system", "uptime", "run", "since", "start"}
+    )

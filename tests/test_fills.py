@@ -1,0 +1,56 @@
+"""The largest number of a type, and huge numbers that repeat, stand for a missing value; one huge number is a fault."""
+
+import numpy as np
+import pytest
+from bench_rows import NAMES, rows, write
+
+from softmap_edge.errors import RunError
+from softmap_edge.logs.guess import guess_mapping
+from softmap_edge.logs.importer import import_logs
+from softmap_edge.logs.mapping import parse_mapping
+
+
+def log(folder, cells, columns=(-3, -2, -1), first=20):
+    """A log in which some columns hold the given cells, from row `first` on."""
+    lines = [line.split(",") for line in rows(60)]
+    for k, cell in enumerate(cells):
+        for column in columns:
+            lines[first + k][column] = cell
+    return write(folder / "log.csv", ",".join(NAMES), [",".join(line) for line in lines])
+
+
+def read(path):
+    found = guess_mapping([path])
+    return import_logs([path], parse_mapping(found.text, path))
+
+
+@pytest.mark.parametrize(
+    "cell",
+    ["3.4028e38", "3.402823e+38", "3.40282347E+38", "-3.4028235e38", "340282346638528859811704183484516925440.0",
+     "1.7976931348623157e308", "1.79769e+308", "-1.7976931348623157e+308", "1e30", "9.96921e36", "-1e38"],
+)  # fmt: skip
+def test_a_number_that_stands_for_missing_is_not_seen(tmp_path, cell):
+    done = read(log(tmp_path, [cell] * 6))
+    assert done.run.t_seen.tolist() == pytest.approx([0.05 * k for k in range(60) if not 20 <= k < 26])
+    assert np.abs(done.run.markers).max() < 1000
+    assert any("stand for missing values" in note and "in 6 of 60 rows" in note for note in done.notes)
+
+
+@pytest.mark.parametrize("cell", ["3.4028235e38", "1.7976931348623157e308"])
+def test_the_largest_number_of_a_type_may_be_there_once(tmp_path, cell):
+    assert read(log(tmp_path, [cell])).run.frames == 59
+
+
+@pytest.mark.parametrize(
+    "cells", [["1e30"], ["2.5e25", "3.5e25", "1e30"], ["3.6e38"], ["5e25", "6e25", "7e25", "5e25", "5e25"]]
+)
+def test_other_huge_numbers_stay_an_error(tmp_path, cells):
+    mapping = guess_mapping([log(tmp_path, [])]).text
+    path = log(tmp_path, cells)
+    with pytest.raises(RunError, match="line 22, .* is no measurement"):
+        import_logs([path], parse_mapping(mapping, path))
+
+
+def test_commands_that_are_missing_are_left_out(tmp_path):
+    done = read(log(tmp_path, ["3.4028e38"] * 4, columns=(1, 2)))
+    assert len(done.run.t) == 56 and any("stand for missing values" in note for note in done.notes)
