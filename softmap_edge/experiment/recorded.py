@@ -62,7 +62,10 @@ def open_incomplete(path: str | Path, model: Model | None = None) -> tuple[Run, 
             f"{told.incomplete}; copy it again, or take it as it is by `softmap replay {shlex.quote(str(file))} --run "
             "RUN.npz`"
         )
-    return run_of(told, model), told.incomplete or _torn(seen_file(file))
+    lacks, seen = told.incomplete, seen_file(file)
+    if lacks is not None and not seen.exists():
+        lacks = f"{lacks}; its file {seen.name} is missing, so the run has no seen frames"
+    return run_of(told, model), lacks or _torn(seen)
 
 
 def _torn(seen: Path) -> str | None:
