@@ -17,6 +17,7 @@ from softmap_edge.diagnosis.collinear import collinear_conditions
 from softmap_edge.diagnosis.conditions import HOME, conditions, orientations
 from softmap_edge.diagnosis.frame_clock import frame_clock
 from softmap_edge.diagnosis.lost import REMEDY, without_lost
+from softmap_edge.diagnosis.unanswered import unanswered
 from softmap_edge.registration.clouds import with_depth
 from softmap_edge.report.advice_text import advice_lines
 from softmap_edge.report.numbers import folded
@@ -37,6 +38,7 @@ def summary(recorded: Run, model: Any = None) -> dict[str, Any]:
     `collinear` are the conditions that cannot be separated from time or the commands (`collinear.Collinear`, `text`).
     `home_known` is whether 0 can be home (`advice.home_unknown`).
     `not_seen` are sentences on points that stand for "not seen". Such a run is not sound; they count as not visible.
+    `unanswered` is a sentence where commands and motion contradict each other, else None; such a run is not sound.
     `can_tell` and `cannot_tell` are lists of `{about, tells, text, remedy, minutes}` (`advice.Word`). A `model` with a
     calibration converts the ticks of the run to commands. Raises CalibrationError if it belongs to other servos.
     `frame_clock` is how the clock of the frames runs against that of the commands (`frame_clock.FrameClock`), or None.
@@ -74,6 +76,7 @@ def summary(recorded: Run, model: Any = None) -> dict[str, Any]:
         "unknown_fields": sorted(set(run.extra) - OURS),
         "roll_seen": not laid(run),
         "not_seen": lost,
+        "unanswered": unanswered(run),
         "hash": recorded.hash(),
     }
     document["missing"] = _missing(run, document)
@@ -131,7 +134,8 @@ def sentences(document: dict[str, Any]) -> list[str]:
     lines += [line for text in d["missing"] for line in _hung("missing", text)]
     lines += [line for text in d["warnings"] for line in _hung("look at", text)]
     lines += [line for one in d["collinear"] for line in _hung("alike", one["text"])]
-    return lines + advice_lines([Word(**word) for word in [*d["can_tell"], *d["cannot_tell"]]])
+    known_to = [] if d.get("unanswered") else d["can_tell"]  # such a run can tell nothing of its drive
+    return lines + advice_lines([Word(**word) for word in [*known_to, *d["cannot_tell"]]])
 
 
 def _hung(name: str, text: str) -> list[str]:

@@ -195,7 +195,9 @@ def test_a_run_without_commands_says_so():
 
 
 def test_the_text_is_for_a_terminal_and_adds_the_minutes_up(tmp_path, capsys):
-    full(command=triangle(standard_protocol().t), temperature=None).save(tmp_path / "run.npz")
+    run = full(command=triangle(standard_protocol().t), temperature=None)
+    moved = np.interp(run.t_seen, run.t, run.command[:, 0])
+    replace(run, markers=run.markers + moved[:, None, None] * [1.0, 0.0, 0.0]).save(tmp_path / "run.npz")
     assert main(["check", str(tmp_path / "run.npz")]) == 0
     text = capsys.readouterr().out
     assert max(len(line) for line in text.splitlines() if str(tmp_path) not in line) <= WIDTH

@@ -15,6 +15,7 @@ from rigs import bench, calibration
 
 from softmap_edge.cli import main
 from softmap_edge.errors import RecordingBroken, RecordingWarning, RunError, ServoError
+from softmap_edge.experiment.kept import seen_file
 from softmap_edge.experiment.recorded import open_run, run_of
 from softmap_edge.mcap_records import read_closing
 from softmap_edge.run import Run
@@ -116,6 +117,21 @@ def test_a_cut_recording_is_said_by_each_command(copied, tail, capsys):
         assert said.err.count("cut short") == 1 and said.out
     assert main(["check", str(copied)]) == 1
     assert f"damaged   {copied}" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("left", [0.5, 0.7, 0.9])
+def test_a_damaged_recording_without_its_seen_file_says_that_it_is_missing(copied, left):
+    copied.write_bytes(copied.read_bytes()[: int(left * copied.stat().st_size)])
+    seen_file(copied).unlink(missing_ok=True)
+    with pytest.warns(RecordingWarning, match=rf"cut short.*its file {seen_file(copied).name} is missing"):
+        assert open_run(copied).frames == 0
+
+
+@pytest.mark.parametrize("protocol", [["--standard"], ["--block", "circle"], ["--protocol", "grid"]])
+def test_next_reports_damage_of_its_runs_without_a_diagnosis_too(copied, protocol, capsys):
+    copied.write_bytes(copied.read_bytes()[: copied.stat().st_size // 2])
+    assert main(["next", *protocol, "--run", str(copied)]) == 1
+    assert "cut short" in capsys.readouterr().err
 
 
 def test_damage_of_the_end_alone_loses_nothing(copied):

@@ -108,6 +108,8 @@ def _standard(args: argparse.Namespace, model: Any) -> tuple[Any, list[Any], lis
     from softmap_edge.protocol import standard_protocol
     from softmap_edge.protocol_virtual import virtual_protocol
 
+    for path in (*args.run, *args.reference):
+        open_run(path, model)  # not needed here, but damage is reported
     setting = Setting.after([], model.gravity_reference)
     given = [f"--{name}" for name in ("standard", "block", "protocol") if getattr(args, name)]
     if len(given) > 1:

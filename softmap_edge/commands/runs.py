@@ -120,7 +120,7 @@ def check(args: argparse.Namespace) -> int:
     found: dict[str, Any] = {}
     try:
         found = _run(path, args.bundle) if kind == "run" else _bundle(path) if kind == "bundle" else read_summary(path)
-        faults = [*found.get("not_seen", []), *([found["fault"]] if found.get("fault") else [])]
+        faults = [*found.get("not_seen", []), *(found[key] for key in ("unanswered", "fault") if found.get(key))]
         document |= found | {"sound": not faults, "fault": "; ".join(faults) or None}
     except SoftmapError as fault:
         document |= {"sound": False, "fault": str(fault)}

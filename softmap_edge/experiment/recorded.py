@@ -72,6 +72,8 @@ def run_of(told: Recording, model: Model | None = None) -> tuple[Run, str | None
     """
     beside = seen_file(told.file)
     run, lacks = _seen(told, beside) if beside.exists() else (told.run(), None)
+    if told.incomplete is not None and not beside.exists():
+        lacks = f"its file {beside.name} is missing, so the run has no seen frames"
     lacks = "; ".join(filter(None, [told.incomplete, lacks])) or None
     if lacks is not None:
         run = replace(run, extra=run.extra | {DAMAGE: np.array(lacks)})

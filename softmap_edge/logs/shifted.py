@@ -84,11 +84,11 @@ def find_shifted(points: Array) -> Shifted | None:
     count = points.shape[1]
     if not 2 <= count <= MOST:
         return None
-    column, seen = np.arange(count), np.isfinite(points).all(axis=2)
+    column, seen = np.arange(count), np.asarray(np.isfinite(points).all(axis=2))
     number, first = seen.sum(axis=1), _first_of(points)
     twice = np.asarray((first != column).any(axis=1))
     listed = (seen == (column < number[:, None])).all() or (seen == (column >= count - number[:, None])).all()
-    doubtful = np.asarray(twice | (listed & (number > 0) & (number < count)))
+    doubtful: NDArray[np.bool_] = np.asarray(twice | (listed & (number > 0) & (number < count)), np.bool_)
     full = np.flatnonzero((number == count) & ~twice)
     if not doubtful.any() or not (len(full) or twice.any()):
         return None
