@@ -79,6 +79,7 @@ class JoinedColumns:
             None if labels is None else labels[:rows],
             np.concatenate([one.lines for one in cells])[:rows],
             tuple(notes),
+            doubts=tuple(_noted(self.parts[k][0], doubt) for k, one in zip(order, cells) for doubt in one.doubts),
         )
 
     def _read(self, columns: Columns, places: list[int], label: int | None, rows: int | None) -> tuple[Cells, Array]:
@@ -93,7 +94,7 @@ class JoinedColumns:
                 numbers[:, j] = cells.numbers[:, here.index(own[k])]
         labels = np.full(len(numbers), "") if label is not None and label not in own else cells.labels
         times = raw_times(self.path, columns, cells, here, self.clock)
-        return Cells(numbers, labels, cells.lines, cells.notes), times
+        return Cells(numbers, labels, cells.lines, cells.notes, doubts=cells.doubts), times
 
     def _places(self, columns: Columns) -> dict[int, int]:
         """Return the places of a file's columns by their places among those of all files."""
