@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.errors import RunError
-from softmap_edge.logs.readers.columns import Array, Cells, quiet
+from softmap_edge.logs.readers.columns import Array, Cells, as_floats, quiet
 
 MOST_COLUMNS = 4096  # of one array, and of all of a file
 _SHOWN = 6  # arrays that a note names
@@ -100,7 +100,7 @@ def columns_of_arrays(
         named = _names(name, shaped, (labels or {}).get(name))
         flat = shaped.reshape(len(shaped), -1)
         names += named
-        columns += [np.asarray(flat[:, k], np.float64) for k in range(flat.shape[1])]
+        columns += [as_floats(flat[:, k]) for k in range(flat.shape[1])]
         remarks += [f"{name}: rows run along its axis {turned} ({_shape(array)})"] if turned else []
     held: dict[int, list[str]] = {}
     for name, column in (texts or {}).items():

@@ -58,6 +58,12 @@ def quiet(numbers: Array) -> Array:
     return numbers
 
 
+def as_floats(values: Any) -> Array:
+    """Return numbers as float64; signalling NaNs, which damaged bytes may hold, are NaN without a warning."""
+    with np.errstate(invalid="ignore"):
+        return np.asarray(values, np.float64)
+
+
 @dataclass(frozen=True)
 class HeldColumns:
     """Columns that a reader of a binary format has in memory already."""

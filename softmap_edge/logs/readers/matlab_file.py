@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from softmap_edge.errors import RunError
 from softmap_edge.logs.readers.arrays import ArrayColumns, columns_of_arrays
+from softmap_edge.logs.readers.columns import as_floats
 from softmap_edge.logs.readers.in_child import MOST, Answer, read_in_child
 
 LIMIT = 2**30  # bytes of one file
@@ -125,7 +126,7 @@ def _take(name: str, value: Any, found: _Found, depth: int) -> None:
         _take_struct(name, value, found, depth)
     elif value.dtype.kind in "biuf":
         found.number(value.size)
-        found.arrays[name] = np.asarray(value, np.float64)
+        found.arrays[name] = as_floats(value)
     elif value.dtype.kind == "U":
         found.leave(name, "text")
     elif value.dtype.kind == "O":
@@ -214,10 +215,10 @@ def _take_dataset(h5py: Any, name: str, entry: Any, found: _Found, matlab: bool)
         table = entry[()]
         for key in table.dtype.names:
             if table.dtype[key].kind in "biuf":
-                found.arrays[f"{name}.{key}"] = np.asarray(table[key], np.float64)
+                found.arrays[f"{name}.{key}"] = as_floats(table[key])
     elif entry.dtype.kind in "biuf" and entry.shape is not None:
         found.number(entry.size)
-        found.arrays[name] = np.asarray(entry[()], np.float64).T if matlab else np.asarray(entry[()], np.float64)
+        found.arrays[name] = as_floats(entry[()]).T if matlab else as_floats(entry[()])
     elif h5py.check_string_dtype(entry.dtype) is not None and entry.ndim == 1 and entry.size < MOST // 32:
         found.texts[name] = [_text(one) for one in entry[()]]
     else:

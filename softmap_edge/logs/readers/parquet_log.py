@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from softmap_edge.errors import RunError
 from softmap_edge.logs.lerobot import Info, info_near
 from softmap_edge.logs.readers.arrays import MOST_COLUMNS, ArrayColumns, columns_of_arrays
+from softmap_edge.logs.readers.columns import as_floats
 from softmap_edge.logs.readers.in_child import MOST, Answer, read_in_child
 
 EPISODE = "episode_index"
@@ -80,7 +81,7 @@ def read_episodes(path: Path) -> Answer:
             return Answer(document={"episodes": None})
         known: list[int] = []
         for batch in file.iter_batches(_BATCH, columns=[EPISODE], use_threads=False):
-            column = np.asarray(batch.column(0).to_numpy(zero_copy_only=False), np.float64)
+            column = as_floats(batch.column(0).to_numpy(zero_copy_only=False))
             known += [int(column.min()), int(column.max())] if len(column) else []
     return Answer(document={"episodes": [min(known), max(known)] if known else None})
 
@@ -126,7 +127,7 @@ class _Gathered:
         """Return which rows of a batch belong to the episode; None where there are no episodes."""
         if EPISODE not in table:
             return None
-        each = np.asarray(table[EPISODE].to_numpy(zero_copy_only=False), np.float64)
+        each = as_floats(table[EPISODE].to_numpy(zero_copy_only=False))
         self.seen |= {int(x) for x in np.unique(each[np.isfinite(each)])}
         if self.episode is None and self.seen:
             self.episode = min(self.seen)
@@ -166,7 +167,7 @@ class _Gathered:
             if name not in columns:
                 why = "lists of different lengths" if name in self.ragged else "empty"
                 self.left_out.append(f"{name} ({why})")
-        arrays = {name: np.asarray(one, np.float64) for name, one in columns.items() if one.dtype.kind in "biuf"}
+        arrays = {name: as_floats(one) for name, one in columns.items() if one.dtype.kind in "biuf"}
         texts = {name: [str(text)[:200] for text in one] for name, one in columns.items() if one.dtype.kind == "O"}
         notes = [] if self.episode is None else [f"episode {self.episode}"]
         document = {"texts": texts, "left_out": self.left_out, "notes": notes, "names": self.names}
@@ -203,12 +204,12 @@ def _values(pyarrow: Any, column: Any) -> NDArray[Any] | None:
     if types.is_timestamp(kind) or types.is_duration(kind):
         per_second = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}[kind.unit]
         ticks = column.cast(pyarrow.int64())
-        return np.asarray(ticks.to_numpy(zero_copy_only=False), np.float64) / per_second
+        return as_floats(ticks.to_numpy(zero_copy_only=False)) / per_second
     if types.is_decimal(kind) or types.is_boolean(kind):
         column = column.cast(pyarrow.float64()) if types.is_decimal(kind) else column.cast(pyarrow.int8())
     if types.is_string(kind) or types.is_large_string(kind):
         return np.array(["" if text is None else text for text in column.to_pylist()], dtype=object)
-    return np.asarray(column.to_numpy(zero_copy_only=False), np.float64)
+    return as_floats(column.to_numpy(zero_copy_only=False))
 
 
 def _lists(column: Any) -> NDArray[np.float64] | None:
@@ -218,5 +219,5 @@ def _lists(column: Any) -> NDArray[np.float64] | None:
     lengths = np.unique(np.asarray(column.value_lengths().to_numpy(zero_copy_only=False))) if len(column) else [0]
     if len(lengths) != 1 or not 0 < lengths[0] <= MOST_COLUMNS:
         return None
-    flat = np.asarray(column.flatten().to_numpy(zero_copy_only=False), np.float64)
+    flat = as_floats(column.flatten().to_numpy(zero_copy_only=False))
     return flat.reshape(len(column), int(lengths[0]))

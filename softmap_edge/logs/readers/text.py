@@ -225,7 +225,7 @@ class TextColumns:
     def _fast(self, block: list[str], places: list[int]) -> Array | None:
         """A block by numpy's compiled reader; None where it stumbles or lines differ in cells."""
         cut, mark = len(self.names) - 1, self.delimiter
-        if self.grouped == "." or any(line.count(mark) != cut for line in block):
+        if self.grouped == "." or "" in block or any(line.count(mark) != cut for line in block):
             return None
         for attempt in range(2):
             if attempt:  # once more with empty cells as NaN
