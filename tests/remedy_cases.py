@@ -6,6 +6,7 @@ out (placeholders filled in), and `works` must then end with 0 without the messa
 """
 
 import json
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -15,6 +16,8 @@ from test_learn_ticks import CASE, arm
 from tick_runs import HOME, record, scattered
 
 from softmap_edge import Run, builtin_model, learn_model, save_bundle
+from softmap_edge.cli import main
+from softmap_edge.run_cut import cut
 from softmap_edge.truth_clouds import FULL
 
 
@@ -101,6 +104,41 @@ def _no_diagnosis() -> None:
     Path("d.json").write_text(json.dumps({"schema": "softmap.comparison/1"}))
 
 
+def _no_bundle() -> None:
+    _finger().save("run.npz")
+    Path("empty").mkdir()
+
+
+def _doubtful() -> None:
+    """A recording with a wrong digit at a place that its checksum does not tell."""
+    assert main(["track", "O", "--sim", "--duration", "3", "--record", "s.mcap"]) == 0
+    data = bytearray(Path("s.mcap").read_bytes())
+    places = [one.end() - 1 for one in re.finditer(rb'"position":\[\d{4}', data)]
+    data[places[len(places) // 2]] ^= 1
+    Path("s.mcap").write_bytes(data)
+
+
+def _two_logs(overlap: float) -> None:
+    """Two logs of one robot, the second begins `overlap` s before the first ends; their runs share frames."""
+    whole = arm()
+    rows = np.hstack([whole.t[:, None], whole.ticks, whole.markers.reshape(whole.frames, -1)])
+    names = ",".join(["t", "cmd_1", "cmd_2", *(f"m{k}_{axis}" for k in (1, 2, 3) for axis in "xyz")])
+    half = len(rows) // 2
+    for name, part in (("part_1", rows[:half]), ("part_2", rows[half - round(overlap / 0.05) :])):
+        Path(f"{name}.csv").write_text("\n".join([names, *(",".join(f"{x:.5f}" for x in row) for row in part)]) + "\n")
+        assert main(["import", f"{name}.csv", "--guess", "--out", f"{name}.toml"]) == 0
+        assert main(["import", f"{name}.csv", "--map", f"{name}.toml", "--out", f"{name}.npz"]) in (0, 1)
+    text = Path("part_1.toml").read_text()
+    Path("both.toml").write_text(text.replace("[[log]]", '[[log]]\nfile = "part_*.csv"'))
+
+
+def _shared() -> None:
+    """Two runs of one recording that share a second."""
+    whole = arm()
+    for name, part in (("a", cut(whole, end=31.0)), ("b", cut(whole, start=30.0))):
+        replace(part, extra={}).save(f"{name}.npz")
+
+
 HOMES = [str(ticks) for ticks in HOME]
 CALIBRATED = ["calibrate", "ticks.npz", "--bundle", "finger", "--home", *HOMES, "--out", "calibrated"]
 CASES = [
@@ -175,6 +213,29 @@ CASES = [
         ["record", "c.csv", "--sim", "--out", "r.npz"], "softmap next --out",
         [["next", "--protocol", "validation", "--minutes", "1", "--out", "n.csv"]],
         ["record", "n.csv", "--sim", "--out", "r.npz"],
+    ),
+    Remedy(
+        "a folder that is no bundle", _no_bundle, ["compare", "run.npz", "--bundle", "empty"], "softmap build",
+        [["build", "--out", "b", "--steps", "5"]], ["compare", "run.npz", "--bundle", "b"],
+    ),
+    Remedy(
+        "a recording with a wrong checksum", _doubtful, ["compare", "s.mcap"], "softmap replay s.mcap --run RUN.npz",
+        [["replay", "s.mcap", "--run", "r.npz"]], ["compare", "r.npz"],
+    ),
+    Remedy(
+        "a file that no loop recorded", lambda: Path("x.mcap").write_bytes(b""), ["replay", "none.mcap"],
+        "softmap track --record FILE.mcap", [["track", "O", "--sim", "--duration", "3", "--record", "s.mcap"]],
+        ["replay", "s.mcap"],
+    ),
+    Remedy(
+        "logs that overlap", lambda: _two_logs(1.0),
+        ["import", "part_1.csv", "part_2.csv", "--map", "both.toml", "--out", "r.npz"], "softmap run join",
+        [["run", "join", "part_1.npz", "part_2.npz", "--out", "both.npz"]], ["run", "show", "both.npz"],
+    ),
+    Remedy(
+        "frames in both runs", _shared, ["run", "join", "a.npz", "b.npz", "--out", "twice.npz"], "softmap run cut",
+        [["run", "cut", "b.npz", "--from", "31.01", "--out", "rest.npz"]],
+        ["run", "join", "a.npz", "rest.npz", "--out", "both.npz"], code=0,
     ),
     Remedy(
         "a new effect without a name", lambda: None, ["effects", "new"], "softmap effects new wobble",

@@ -1,7 +1,7 @@
 """Every command that a message names exists, and the advice leads out: provoked, followed, and it works."""
 
 import pytest
-from remedies import commands, fault, faults, named_in
+from remedies import ROOT, commands, fault, faults, named_in
 from remedy_cases import CASES
 
 from softmap_edge.cli import main
@@ -26,6 +26,24 @@ def test_the_list_holds_the_commands_of_messages():
     assert len(found) > 100 and {"learn", "calibrate", "align", "register", "servo", "next", "add", "refit"} <= named
     computed = [one for one in found if one.file.endswith("guess.py") and one.words[:2] == ("align", "RUN")]
     assert computed and "HOLE" in computed[0].words  # a part of it is computed
+
+
+# Commands that messages name without mending anything by them, or that other tests execute, with the file.
+LOOKS = {"check", "compare", "show", "doctor", "demo", "run show"}
+ELSEWHERE = {
+    "servo": "test_servo_remedies.py", "move": "test_servo_remedies.py", "record": "test_record_cut.py",
+    "teleop": "test_teleop_installed.py", "train": "test_residual_network.py", "evaluate": "test_evaluate.py",
+    "adapt": "test_adaptation.py", "sweep": "test_elsewhere.py",
+}  # fmt: skip
+
+
+def test_every_command_that_a_message_names_is_executed_by_a_test():
+    """A new remedy needs a case (`remedy_cases.py`), or a test of its own that is listed here."""
+    named = {one.words[0] for one in commands()}
+    cases = {words[0] for case in CASES for words in (*case.remedy, case.works)}
+    assert named - cases - LOOKS <= {*ELSEWHERE}
+    for verb, file in ELSEWHERE.items():
+        assert verb in (ROOT / "tests" / file).read_text(), (verb, file)
 
 
 @pytest.mark.parametrize(
