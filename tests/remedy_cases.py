@@ -105,7 +105,7 @@ def _no_diagnosis() -> None:
 
 
 def _no_bundle() -> None:
-    _finger().save("run.npz")
+    _lengths().save("run.npz")
     Path("empty").mkdir()
 
 
@@ -215,8 +215,8 @@ CASES = [
         ["record", "n.csv", "--sim", "--out", "r.npz"],
     ),
     Remedy(
-        "a folder that is no bundle", _no_bundle, ["compare", "run.npz", "--bundle", "empty"], "softmap build",
-        [["build", "--out", "b", "--steps", "5"]], ["compare", "run.npz", "--bundle", "b"],
+        "a folder that is no bundle", _no_bundle, ["compare", "run.npz", "--bundle", "empty"], "softmap learn",
+        [["learn", "run.npz", "--static", "--out", "b"]], ["compare", "run.npz", "--bundle", "b"],
     ),
     Remedy(
         "a recording with a wrong checksum", _doubtful, ["compare", "s.mcap"], "softmap replay s.mcap --run RUN.npz",

@@ -33,7 +33,7 @@ LOOKS = {"check", "compare", "show", "doctor", "demo", "run show"}
 ELSEWHERE = {
     "servo": "test_servo_remedies.py", "move": "test_servo_remedies.py", "record": "test_record_cut.py",
     "teleop": "test_teleop_installed.py", "train": "test_residual_network.py", "evaluate": "test_evaluate.py",
-    "adapt": "test_adaptation.py", "sweep": "test_elsewhere.py",
+    "adapt": "test_adaptation.py", "sweep": "test_elsewhere.py", "build": "test_elsewhere.py",
 }  # fmt: skip
 
 
