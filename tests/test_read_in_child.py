@@ -28,7 +28,7 @@ def use(path, how):
     print(how)
     match how:
         case "memory":
-            np.ones(MEGABYTES * 2**17 + 2**20)
+            np.ones(MEGABYTES * 2**18)  # twice the limit: a child may give memory back that it inherited
         case "loop":
             while True:
                 pass
