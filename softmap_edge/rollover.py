@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from softmap_edge.run import SPOOL_RADIUS, Run
+from softmap_edge.run import Run
 
 Floats = NDArray[np.float64]
 TURNS = (2 * np.pi, 360.0, 3600.0, 36000.0, *(2.0**bits for bits in range(8, 25)))
@@ -81,7 +81,7 @@ def unwrapped(values: Floats, turn: float) -> tuple[Floats, int]:
 
 def roll_overs_of(run: Run) -> list[str]:
     """Return a sentence for each kind of drive data of a run that rolls over."""
-    radius = _radius(run)
+    radius = run.spool_radius
     found: list[str] = []
     for name in DRIVES:
         rows: Any = getattr(run, name)
@@ -94,12 +94,6 @@ def roll_overs_of(run: Run) -> list[str]:
         line = roll_over_line(name, names, each)
         found += [f"{line} in the mapping, and import the log again"] if line else []
     return found
-
-
-def _radius(run: Run) -> float | None:
-    """Return the radius (mm) of the spools that a run keeps; None without one."""
-    kept = np.ravel(run.extra.get(SPOOL_RADIUS, np.zeros(0)))
-    return float(kept[0]) if len(kept) == 1 and kept.dtype.kind in "fiu" and kept[0] > 0 else None
 
 
 def roll_over_line(name: str, names: list[str], found: list[RollOver | None]) -> str | None:

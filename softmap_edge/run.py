@@ -33,6 +33,7 @@ MAX_NUMBERS = 1 << 26  # of a run: 40 000 frames of 548 vertices
 BASE_MARKERS = "base_markers"  # the field in which an import keeps markers (K, B, 3) mm that are fixed to the base
 ROLL_SEEN = "roll_seen"  # a field: whether a run shows what the body does about its own axis
 SPOOL_RADIUS = "spool_radius_mm"  # the field in which an import keeps the radius of the spools of its mapping
+SPOOLS_MM = (1e-3, 1e4)  # radii that a mapping may declare
 NOT_SEEN = "not_seen"  # the field that marks the search for places that stand for "not seen" as done or switched off
 PIECES = ("piece_origin", "piece_row", "piece_frame", "piece_shift_s")  # fields of a run that was cut or joined
 NO_COMMANDS = (  # what a run of markers alone cannot be used for
@@ -233,6 +234,19 @@ class Run:
     def frames(self) -> int:
         """K, the number of frames seen."""
         return len(self.t_seen)
+
+    def text(self, name: str) -> str | None:
+        """Return the text of a field of `extra`; None if there is none, or an array of another program."""
+        field = self.extra.get(name)
+        alone = field is not None and field.dtype.kind == "U" and field.size == 1
+        return str(field.reshape(-1)[0]) if alone and field is not None else None
+
+    @property
+    def spool_radius(self) -> float | None:
+        """The radius of the spools that the mapping declared, mm; None without a plausible one."""
+        value = np.asarray(self.extra.get(SPOOL_RADIUS, 0.0))
+        plain = value.ndim == 0 and value.dtype.kind in "fiu"
+        return float(value) if plain and SPOOLS_MM[0] <= float(value) <= SPOOLS_MM[1] else None
 
     @property
     def marker_names(self) -> list[str]:

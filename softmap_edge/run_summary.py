@@ -242,9 +242,8 @@ def _missing(run: Run, document: dict[str, Any]) -> list[str]:
 
 def _damage(run: Run) -> list[str]:
     """Return a sentence if the run was made of a damaged recording or log."""
-    text = run.extra.get(DAMAGE)
-    known = text is not None and text.dtype.kind == "U" and text.size == 1
-    return [f"made of what could be read: {text.reshape(-1)[0]}"] if known and text is not None else []
+    text = run.text(DAMAGE)
+    return [] if text is None else [f"made of what could be read: {text}"]
 
 
 def _warnings(run: Run) -> list[str]:

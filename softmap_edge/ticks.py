@@ -245,11 +245,11 @@ def converted(model: Any, run: Run) -> Run:
 
 def _driven_by(run: Run, unit: str) -> Calibration | None:
     """Return the map by which the robot was driven, if a run in ticks holds it and it gives commands in `unit`."""
-    kept = run.extra.get(CALIBRATION)
-    if kept is None or (run.ticks is None and run.present_ticks is None) or kept.dtype.kind != "U" or kept.size != 1:
+    kept = run.text(CALIBRATION)
+    if kept is None or (run.ticks is None and run.present_ticks is None):
         return None
     try:
-        found = Calibration.from_dict(json.loads(str(kept.reshape(-1)[0])))
+        found = Calibration.from_dict(json.loads(kept))
     except (ValueError, RecursionError):
         raise CalibrationError(f"the field `{CALIBRATION}` of the run is no calibration; leave it out") from None
     return found if found.unit == unit else None

@@ -53,8 +53,7 @@ def lost_points(run: Run, remedy: str = REMEDY) -> tuple[Mask, list[str]]:
 
 def _looked_for(run: Run) -> bool:
     """Return whether an import has searched for such points, or the user keeps them; an array does not count."""
-    word = run.extra.get(NOT_SEEN)
-    return word is not None and word.dtype.kind == "U" and word.size == 1 and str(word.reshape(-1)[0]) in WORDS
+    return run.text(NOT_SEEN) in WORDS
 
 
 def without_lost(run: Run, remedy: str = KEEP) -> tuple[Run, list[str]]:

@@ -18,7 +18,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.diagnosis.layout import Layout
-from softmap_edge.run import SPOOL_RADIUS
 from softmap_edge.ticks import TURN, Calibration
 
 if TYPE_CHECKING:
@@ -28,7 +27,6 @@ Floats = NDArray[np.float64]
 
 RADIUS = "eccentric_pulley.radius"
 ALIKE = 0.05  # of their mean: spools whose radii differ by less have one radius
-MOST_MM = (1e-3, 1e4)  # radii that a mapping may declare
 CROSSED = 0.1  # of its own slope: a channel that other servos move by more is not wound on one spool
 
 
@@ -46,19 +44,13 @@ def spool_of(model: Any, runs: Sequence[Run]) -> Spool | None:
     calibration: Calibration | None = getattr(model, "calibration", None)
     if calibration is not None and calibration.unit == model.command_unit:
         return _calibrated(calibration)
-    radii = np.array([_declared(run) for run in runs])
-    if not len(radii) or not radii.all() or getattr(model, "command_unit", "mm") != "mm":
+    declared = [run.spool_radius for run in runs]
+    radii = np.array([radius for radius in declared if radius is not None])
+    if not len(runs) or len(radii) < len(runs) or getattr(model, "command_unit", "mm") != "mm":
         return None
     if np.ptp(radii) > ALIKE * radii.mean():
         return None
     return Spool(float(radii.mean()), None, "the run's mapping")
-
-
-def _declared(run: Run) -> float:
-    """Return the radius (mm) that a run declares; 0 where it declares none, or no plausible one."""
-    value = np.asarray(run.extra.get(SPOOL_RADIUS, 0.0))
-    plain = value.ndim == 0 and value.dtype.kind in "fiu"
-    return float(value) if plain and MOST_MM[0] <= float(value) <= MOST_MM[1] else 0.0
 
 
 def _calibrated(calibration: Calibration) -> Spool | None:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.logs.clock import increasing
-from softmap_edge.logs.set_clock import Jump
+from softmap_edge.logs.set_clock import Jump, usual_step
 from softmap_edge.logs.time_keys import TIME
 
 Array = NDArray[np.float64]
@@ -73,15 +73,13 @@ def treatment(t: Array, jump: Jump | None, name: str) -> Treatment:
 
 def _starts_again(t: Array, row: int) -> bool:
     """Whether a clock goes back to its first time, or to 0."""
-    step = np.diff(t)
-    near = _SAME * float(np.median(step[step > 0]))
+    near = _SAME * usual_step(t)
     return bool(abs(t[row] - t[0]) <= near or abs(t[row]) <= near)
 
 
 def _without_step(t: Array, row: int) -> Array:
-    step = np.diff(t)
     later = np.arange(len(t)) >= row
-    return np.asarray(t + later * (float(np.median(step[step > 0])) - step[row - 1]))
+    return np.asarray(t + later * (usual_step(t) - (t[row] - t[row - 1])))
 
 
 def counts_of_roll(values: Array, usual: float) -> tuple[str, str] | None:

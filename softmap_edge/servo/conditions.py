@@ -11,9 +11,9 @@ from collections.abc import Mapping
 from typing import Any
 
 from softmap_edge.servo.known_state import Asked, Found, Values, usual
+from softmap_edge.servo.limits import JOG_TRAVEL
 
 PER_VOLT = 10  # register units of the supply voltage
-ONE_JOG = 300  # ticks, as limits.JOG_TRAVEL: what one `softmap move --by` turns at most
 COOL_DOWN = "let it cool with torque off, and find why it got warm: a load, little air, a high current cap"
 POWER = "check the power supply and its cable"
 
@@ -58,14 +58,14 @@ def outside(id: int, position: float, window: tuple[float, float]) -> str:
     low, high = window
     if low <= position <= high:
         return ""
-    inside = min(max(position, low + ONE_JOG / 10), high - ONE_JOG / 10)  # a jog may end some ticks short
+    inside = min(max(position, low + JOG_TRAVEL / 10), high - JOG_TRAVEL / 10)  # a jog may end some ticks short
     return (
         f"stands at {position:.0f} ticks, outside its window of {low:.0f} to {high:.0f}; turn it back by "
         f"{jogs(id, (inside if low < inside < high else (low + high) / 2) - position)}"
     )
 
 
-def jogs(id: int, ticks: float, most: float = ONE_JOG) -> str:
+def jogs(id: int, ticks: float, most: float = JOG_TRAVEL) -> str:
     """Return the command that turns a servo, and how often to run it.
 
     Args:
@@ -73,7 +73,7 @@ def jogs(id: int, ticks: float, most: float = ONE_JOG) -> str:
         ticks: how far, signed.
         most: ticks that one jog may turn.
     """
-    times = max(1, math.ceil(abs(ticks) / min(most, ONE_JOG)))
+    times = max(1, math.ceil(abs(ticks) / min(most, JOG_TRAVEL)))
     step = round(ticks / times)
     often = "" if times == 1 else f", {times} times"
     return f"`softmap move --servo {id} --by {step or 1:+d} --rig FILE`{often}"
