@@ -7,6 +7,7 @@ Pinned by tests/test_printable.py.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any, TextIO
 from unicodedata import category
 
@@ -21,6 +22,12 @@ def printable(text: str) -> str:
 def one_line(text: str) -> str:
     """Return `text` as one printable line: line ends and tabs are escaped too."""
     return printable(text.replace("\n", "\\n").replace("\r", "\\r").replace("\t", "\\t"))
+
+
+def listed(items: Iterable[object], most: int) -> str:
+    """Return the first `most` items with commas between them, and the number of the others."""
+    texts = list(map(str, items))
+    return ", ".join(texts[:most]) + (f" and {len(texts) - most} more" if len(texts) > most else "")
 
 
 def _escape(character: str) -> str:

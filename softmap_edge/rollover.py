@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from softmap_edge.printable import listed
 from softmap_edge.run import Run
 
 Floats = NDArray[np.float64]
@@ -107,10 +108,9 @@ def roll_over_line(name: str, names: list[str], found: list[RollOver | None]) ->
     some = [(label, one) for label, one in zip(names, found) if one is not None]
     if not some:
         return None
-    told = ", ".join(f"{label} in {one.count} rows (the first is row {one.row})" for label, one in some[:_SHOWN])
-    more = f" and {len(some) - _SHOWN} more" if len(some) > _SHOWN else ""
+    channels = listed((f"{label} in {one.count} rows (the first is row {one.row})" for label, one in some), _SHOWN)
     turn = f"{some[0][1].turn:.7g}"
     return (
         f"{name}: jumps by about {turn} within one row and moves slowly otherwise, as an encoder that rolls over: "
-        f"{told}{more}; if so, set {name}.unwrap = {turn}"
+        f"{channels}; if so, set {name}.unwrap = {turn}"
     )

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.logs.readers.columns import Array, Cells
+from softmap_edge.printable import listed
 
 LARGEST = 1e20  # of any cell, whatever its unit: times in nanoseconds since 1970 are 2e18
 _MAXIMA = (float(np.finfo(np.float32).max), float(np.finfo(np.float64).max))
@@ -32,16 +33,15 @@ def without_fills(cells: Cells, names: list[str]) -> Cells:
     wild = np.abs(cells.numbers) > LARGEST  # NaN is an absent cell
     if not wild.any():
         return cells
-    numbers, told = cells.numbers.copy(), []
+    numbers, found = cells.numbers.copy(), []
     for j in np.flatnonzero(wild.any(axis=0)):
         filled = wild[:, j] & _stand_for_missing(numbers[:, j], wild[:, j])
         if filled.any():
-            told.append(f"{names[j]} {numbers[filled, j][0]:.6g} in {int(filled.sum())} of {len(numbers)} rows")
+            found.append(f"{names[j]} {numbers[filled, j][0]:.6g} in {int(filled.sum())} of {len(numbers)} rows")
             numbers[filled, j] = np.nan
-    if not told:
+    if not found:
         return cells
-    more = f" and {len(told) - _NAMED} more columns" if len(told) > _NAMED else ""
-    note = f"numbers that stand for missing values are taken as missing: {', '.join(told[:_NAMED])}{more}"
+    note = f"numbers that stand for missing values are taken as missing: {listed(found, _NAMED)}"
     return replace(cells, numbers=numbers, notes=(*cells.notes, note))
 
 

@@ -6,6 +6,7 @@ import numpy as np
 
 from softmap_edge.logs.guess_columns import Sheet
 from softmap_edge.logs.triples import LeftOut, Triples
+from softmap_edge.printable import listed
 
 _NAMED = 12  # columns of one kind that are named
 
@@ -17,8 +18,7 @@ def no_place(log: str, one: LeftOut) -> str:
 
 def no_role(log: str, one: LeftOut) -> str:
     """Return the remark on columns of a log that are left out."""
-    more = f" and {len(one.columns) - _NAMED} more" if len(one.columns) > _NAMED else ""
-    return f"what {', '.join(one.columns[:_NAMED])}{more} of {log} are: they look like {one.why}, and are left out"
+    return f"what {listed(one.columns, _NAMED)} of {log} are: they look like {one.why}, and are left out"
 
 
 def worth(pair: tuple[Triples, Sheet]) -> tuple[int, bool, int]:

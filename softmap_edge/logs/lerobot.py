@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from softmap_edge.errors import RunError, brief
+from softmap_edge.printable import listed
 
 EITHER_UNIT = (
     "whether the dataset holds degrees or LeRobot's values from -100 to 100 (a gripper's from 0 to 100); "
@@ -111,11 +112,10 @@ def explained(document: Any) -> str | None:
     motors = {str(name): motor for name, motor in document.items() if isinstance(motor, dict) and motor.keys() >= _KEYS}
     if len(motors) != len(document):
         return None
-    listed = ", ".join(_motor(name, motor) for name, motor in list(motors.items())[:_SHOWN])
-    more = f" and {len(motors) - _SHOWN} more" if len(motors) > _SHOWN else ""
+    each = listed((_motor(name, motor) for name, motor in motors.items()), _SHOWN)
     first = next(iter(motors.values()))
     return (
-        f"is the calibration of a LeRobot arm, no log: {listed}{more}. It holds the ticks that each motor may "
+        f"is the calibration of a LeRobot arm, no log: {each}. It holds the ticks that each motor may "
         "take, not how many mm a tick moves. Import the dataset itself; values from -100 to 100 become ticks in the "
         "mapping by "
         f"ticks = {{ columns = [ONE], {_line(first)} }} of each motor, and `softmap calibrate` finds their mm"

@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 
 from softmap_edge.logs.held_places import Held, held_places
 from softmap_edge.logs.one_coordinate import NAMES, Coordinate, lost_coordinates
+from softmap_edge.printable import listed
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -95,8 +96,7 @@ class Lost:
 
 def _named(counts: list[tuple[str, int]]) -> str:
     counts = sorted(counts, key=lambda pair: -pair[1])
-    more = f" and {len(counts) - _LISTED} more" if len(counts) > _LISTED else ""
-    return ", ".join(f"{name} {count}" for name, count in counts[:_LISTED]) + more
+    return listed((f"{name} {count}" for name, count in counts), _LISTED)
 
 
 def not_seen(points: Array, commands: Array | None = None) -> Lost:

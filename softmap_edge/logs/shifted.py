@@ -19,6 +19,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from softmap_edge.printable import listed
+
 Array = NDArray[np.float64]
 Whole = NDArray[np.intp]
 
@@ -68,8 +70,7 @@ class Shifted:
 
 def _named(columns: NDArray[np.bool_], labels: Sequence[str]) -> str:
     found = np.flatnonzero(columns.any(axis=0))
-    more = f" and {len(found) - _LISTED} more" if len(found) > _LISTED else ""
-    return ", ".join(labels[m] for m in found[:_LISTED]) + more
+    return listed((labels[m] for m in found.tolist()), _LISTED)
 
 
 def find_shifted(points: Array) -> Shifted | None:

@@ -32,6 +32,7 @@ from softmap_edge.logs.readers.text import TextColumns, open_text
 from softmap_edge.logs.readers.typed_rows import open_typed
 from softmap_edge.logs.readers.vendor_text import open_lvm, open_nexus, open_qtm
 from softmap_edge.logs.time_text import DAY
+from softmap_edge.printable import listed
 
 _VENDORS: dict[str, Callable[[Path], Columns]] = {
     "trc": open_trc,
@@ -209,13 +210,12 @@ def _all_there(path: Path, columns: Columns, wanted: list[Column], delimiter: st
     missing = [c for c in dict.fromkeys(wanted) if (c not in names if isinstance(c, str) else not 0 <= c < len(names))]
     if not missing:
         return
-    listed = ", ".join(str(column)[:40] for column in missing[:_NAMED])
-    listed += f" and {len(missing) - _NAMED} more" if len(missing) > _NAMED else ""
+    absent = listed((str(column)[:40] for column in missing), _NAMED)
     hint = ""
     if len(names) == 1 and delimiter is not None and (other := find_delimiter(names[0])) in names[0]:
         hint = f"; the file seems to be cut by '{other}', not by '{delimiter}'"
     hint += header_hint(columns)
-    raise RunError(f"{path}: no column {listed}; there are {_listed(names)}{hint}; change the mapping")
+    raise RunError(f"{path}: no column {absent}; there are {_listed(names)}{hint}; change the mapping")
 
 
 def header_hint(columns: Any) -> str:

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from softmap_edge.errors import FingerError
+from softmap_edge.printable import listed
 from softmap_edge.solid.bodies import Meshed
 from softmap_edge.solid.finger import Finger
 from softmap_edge.toml_table import quoted
@@ -42,10 +43,9 @@ def groups_without_region(finger: Finger) -> str:
     if not left or (named & set(groups) and len(left) < 2):
         return ""
     share = 8**finger.solid.refine
-    listed = ", ".join(f"{name} ({np.count_nonzero(groups[name]) // share} cells)" for name in left[:_SHOWN])
-    more = f" and {len(left) - _SHOWN} more" if len(left) > _SHOWN else ""
+    sizes = listed((f"{name} ({np.count_nonzero(groups[name]) // share} cells)" for name in left), _SHOWN)
     return (
-        f"{Path(finger.solid.file).name} names {len(groups)} group{'s' * (len(groups) > 1)} of cells; {listed}{more} "
+        f"{Path(finger.solid.file).name} names {len(groups)} group{'s' * (len(groups) > 1)} of cells; {sizes} "
         f"get young_mpa = {finger.young_mpa:g}. Give one a modulus of its own: [[region]] with "
         f"name = {quoted(left[-1])} and young_mpa"
     )

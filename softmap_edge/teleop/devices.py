@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from softmap_edge.errors import TeleopError
+from softmap_edge.printable import listed
 
 DEVICES = Path("/dev")
 LASTING = ("v4l/by-id", "v4l/by-path")
@@ -45,8 +46,7 @@ def cameras(devices: Path = DEVICES) -> list[Camera]:
 def there(devices: Path = DEVICES) -> str:
     """Return the list of the connected cameras for a message."""
     found = cameras(devices)
-    more = f" and {len(found) - MOST} more" if len(found) > MOST else ""
-    return f"the cameras here are {', '.join(map(str, found[:MOST]))}{more}" if found else "no camera is connected"
+    return f"the cameras here are {listed(found, MOST)}" if found else "no camera is connected"
 
 
 def camera_number(text: str, devices: Path = DEVICES) -> int | None:

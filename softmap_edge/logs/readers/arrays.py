@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from softmap_edge.errors import RunError
 from softmap_edge.logs.readers.columns import Array, Cells, as_floats, quiet
+from softmap_edge.printable import listed
 
 MOST_COLUMNS = 4096  # of one array, and of all of a file
 _SHOWN = 6  # arrays that a note names
@@ -158,5 +159,4 @@ def _shape(array: NDArray[Any]) -> str:
 
 
 def _listed(absent: Sequence[str]) -> str:
-    more = f" and {len(absent) - _SHOWN} more" if len(absent) > _SHOWN else ""
-    return ", ".join(entry[:120] for entry in absent[:_SHOWN]) + more
+    return listed((entry[:120] for entry in absent), _SHOWN)

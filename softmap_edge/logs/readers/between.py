@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.logs.readers.cells import is_value, split
+from softmap_edge.printable import listed
 
 _LISTED = 3  # lines that are named
 _MARKS = "#%"
@@ -95,5 +96,4 @@ def _letters(cell: str) -> int:
 
 
 def _named(lines: list[int]) -> str:
-    more = f" and {len(lines) - _LISTED} more" if len(lines) > _LISTED else ""
-    return f"{len(lines)} (line {', '.join(map(str, lines[:_LISTED]))}{more})"
+    return f"{len(lines)} (line {listed(lines, _LISTED)})"

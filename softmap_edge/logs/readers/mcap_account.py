@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from softmap_edge.mcap_records import Closing, Damage
+from softmap_edge.printable import listed
 
 SPANS = 3  # time spans that are named one by one
 
@@ -85,9 +86,8 @@ class Account:
         lines = []
         if self.lost:
             spans = [one.span for one in self.lost if one.span is not None]
-            when = [f"{self._seconds(low, unit=False)} to {self._seconds(high)}" for low, high in spans[:SPANS]]
-            more = f" and {len(spans) - SPANS} more" if len(spans) > SPANS else ""
-            times = f", {', '.join(when)}{more}" if when and self.first is not None else ""
+            when = [f"{self._seconds(low, unit=False)} to {self._seconds(high)}" for low, high in spans]
+            times = f", {listed(when, SPANS)}" if when and self.first is not None else ""
             are = "is" if len(self.lost) == 1 else "are"
             lines.append(
                 f"{len(self.lost)} of {self.chunks} chunks {are} left out ({self.lost[0].why}; byte "

@@ -11,6 +11,7 @@ from pathlib import Path
 
 from softmap_edge.errors import RunError
 from softmap_edge.logs.readers.cells import is_number, is_unit
+from softmap_edge.printable import listed
 
 _CELL = re.compile(r"[+-]?\d[\d.,]*(?:[eE][+-]?\d+)?\s*([^\d\s.,;:/_-]{1,8})")
 _MOST = 0.9  # of the filled cells
@@ -35,9 +36,8 @@ def refuse_unit_cells(path: Path, texts: Mapping[str, Sequence[str]]) -> None:
         return
     name, unit = next(iter(found.items()))
     cell = next(cell for cell in texts[name] if _CELL.fullmatch(cell) and not is_number(cell))
-    more = f" and {len(found) - _NAMED} more" if len(found) > _NAMED else ""
     raise RunError(
-        f"{path}: columns {', '.join(list(found)[:_NAMED])}{more} hold numbers with a unit, such as '{cell[:30]}'; "
+        f"{path}: columns {listed(found, _NAMED)} hold numbers with a unit, such as '{cell[:30]}'; "
         f"export the log with numbers only (or remove '{unit}' from the cells), and give the unit in the mapping"
     )
 

@@ -12,6 +12,8 @@ import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
+from softmap_edge.printable import listed
+
 EMPTY = {"", "nan", "na", "n/a", "null", "none", "-nan"}  # not reported to the user: their meaning is clear
 MOSTLY = 0.5  # of the cells: a column with more words is no column of numbers
 _ERROR = re.compile(r"#.*|[+-]?1\.#[a-z]+\d*|[+-]?(nan|inf)\S*", re.IGNORECASE)
@@ -58,9 +60,8 @@ class Words:
         """Return the sentence that names the words, if there are any."""
         if not self.found:
             return []
-        told = [
+        each = (
             f"{names[column]} '{word}' in {count} of {rows} rows (first in line {first})"
-            for (column, word), (count, first) in list(self.found.items())[:_LISTED]
-        ]
-        more = f" and {len(self.found) - _LISTED} more" if len(self.found) > _LISTED else ""
-        return [f"words in columns of numbers are taken as missing: {', '.join(told)}{more}"]
+            for (column, word), (count, first) in self.found.items()
+        )
+        return [f"words in columns of numbers are taken as missing: {listed(each, _LISTED)}"]
