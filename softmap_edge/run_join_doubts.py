@@ -91,9 +91,9 @@ def _twice(i: int, one: _Rows | None, j: int, other: _Rows | None) -> str | None
     first, second = ([rows[key] for key in shared] for rows in (mine, theirs))
     count = len({at + k for at in second for k in range(length)})
     spans = [(t[min(at)], t[max(at) + length - 1]) for t, at in ((one.t, first), (other.t, second))]
-    told = " and ".join(f"{low:.6g} to {high:.6g} s of run {n + 1}" for (low, high), n in zip(spans, (i, j)))
+    where = " and ".join(f"{low:.6g} to {high:.6g} s of run {n + 1}" for (low, high), n in zip(spans, (i, j)))
     return (
-        f"{count} {one.name} have equal values in runs {i + 1} and {j + 1} ({told}): they count twice; take them out "
+        f"{count} {one.name} have equal values in runs {i + 1} and {j + 1} ({where}): they count twice; take them out "
         f"of one run with `softmap run cut`"
     )
 

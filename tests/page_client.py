@@ -49,7 +49,7 @@ class Client:
         self.connection.send(json.dumps(said | ({"do": do} if do else {}) | changes))
 
     def press(self):
-        """Press the key anew; a busy computer's gap between two words has let it go."""
+        """Release and press the key; a busy computer's gap between two words has let it go."""
         self.hear()
         self.say(False)
         self.say(True)

@@ -25,7 +25,7 @@ from softmap_edge.hints import filled, parted
 def test_a_message_is_parted_outside_brackets(said, finding, remedy):
     assert parted(said) == (finding, remedy)
     line = faulty("x", said, "otherwise")
-    assert line.do == (remedy or "otherwise") and line.found == (finding or "no reason is told")
+    assert line.do == (remedy or "otherwise") and line.found == (finding or "no reason is given")
 
 
 @pytest.mark.parametrize(
@@ -53,7 +53,7 @@ def test_a_bundle_that_was_not_given_is_left_to_the_user():
 
 
 def test_no_other_place_splits_a_message():
-    """Whoever cuts a message at "; " cuts in brackets too; `hints.parted` is the one place."""
+    """A plain split at "; " cuts in brackets too; messages are parted by `hints.parted` alone."""
     for file in (Path(doctor.__file__).parents[1]).rglob("*.py"):
         if file.name != "hints.py":
             found = re.findall(r'(?:split|partition|index|find)\(";? ?;? "\)', file.read_text(encoding="utf-8"))

@@ -84,10 +84,10 @@ def test_an_import_sets_them_aside_and_a_run_is_searched(tmp_path):
     head = ",".join(["t", "u", "v", *(f"{a}{m}" for m in range(4) for a in "xyz")])
     table = np.column_stack([T, SINES, camera.reshape(K, -1)])
     (tmp_path / "log.csv").write_text(head + "\n" + "\n".join(",".join(f"{x:.4f}" for x in row) for row in table))
-    for keys, told in (("", True), ('not_seen = "keep", ', False)):
+    for keys, found in (("", True), ('not_seen = "keep", ', False)):
         (tmp_path / "map.toml").write_text(MAP % keys)
         done = import_logs([tmp_path / "log.csv"], read_mapping(tmp_path / "map.toml"))
-        assert any("with z at exactly 0 are taken as not seen: marker 2" in text for text in done.doubts) == told
-        assert done.run.visible is None or (done.run.visible[:, 2] == ~rows).all() == told
+        assert any("with z at exactly 0 are taken as not seen: marker 2" in text for text in done.doubts) == found
+        assert done.run.visible is None or (done.run.visible[:, 2] == ~rows).all() == found
     mask, (line,) = lost_points(Run(t=T, command=SINES, t_seen=T, markers=camera))
     assert (mask[:, 2] == rows).all() and mask.sum() == rows.sum() and "with z at exactly 0" in line

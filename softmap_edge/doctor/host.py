@@ -84,14 +84,14 @@ def real_time(proc: Path = PROC) -> Iterator[Line]:
     do = f"the loop runs without; to mend it, write '{name} - rtprio {PRIORITY}' into {file} and log in again"
     may = bool(rights >> CAP_SYS_NICE & 1)
     allowed = may or most < 0 or most >= PRIORITY
-    told = "CAP_SYS_NICE" if may else f"rtprio limit {'unlimited' if most < 0 else most}, {PRIORITY} needed"
-    yield Line("real-time priority", OK if allowed else WARNING, told, "" if allowed else do)
+    right = "CAP_SYS_NICE" if may else f"rtprio limit {'unlimited' if most < 0 else most}, {PRIORITY} needed"
+    yield Line("real-time priority", OK if allowed else WARNING, right, "" if allowed else do)
     locked = resource.getrlimit(resource.RLIMIT_MEMLOCK)[0]
     do = f"the loop runs without; to mend it, write '{name} - memlock unlimited' into {file} and log in again"
     may = bool(rights >> CAP_IPC_LOCK & 1)
     enough = may or locked < 0 or locked >= LOCKED
-    told = "CAP_IPC_LOCK" if may else "unlimited" if locked < 0 else f"limit {locked >> 10} KiB, {LOCKED >> 10} needed"
-    yield Line("locked memory", OK if enough else WARNING, told, "" if enough else do)
+    right = "CAP_IPC_LOCK" if may else "unlimited" if locked < 0 else f"limit {locked >> 10} KiB, {LOCKED >> 10} needed"
+    yield Line("locked memory", OK if enough else WARNING, right, "" if enough else do)
 
 
 def _capabilities(proc: Path) -> int:

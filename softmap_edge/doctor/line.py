@@ -34,4 +34,4 @@ class Line:
 def faulty(name: str, said: object, otherwise: str) -> Line:
     """Return what an error or a complaint says as a line; `otherwise` is to be done where it names no remedy."""
     found, do = parted(said)
-    return Line(name, FAULT, found or "no reason is told", do or otherwise)
+    return Line(name, FAULT, found or "no reason is given", do or otherwise)

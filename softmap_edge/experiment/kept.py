@@ -175,7 +175,7 @@ def read_kept(file: Path) -> Kept:
     """Return what was kept: every line whose checksum is right, to the last whole one.
 
     Raises:
-        RunError: it is no such file, or damaged where no checksum tells which part.
+        RunError: it is no such file, or damaged where no checksum shows which part.
     """
     try:
         if file.exists() and not file.is_file():

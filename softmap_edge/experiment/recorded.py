@@ -55,51 +55,51 @@ def open_incomplete(path: str | Path, model: Model | None = None) -> tuple[Run, 
     file = Path(path)
     if file.suffix.lower() != RECORDING:
         return Run.load(file), None
-    told = read_recording(file)
-    if told.doubtful:
+    recording = read_recording(file)
+    if recording.doubtful:
         raise RunError(
-            f"{told.incomplete}; copy it again, or take it as it is by `softmap replay {shlex.quote(str(file))} --run "
-            "RUN.npz`"
+            f"{recording.incomplete}; copy it again, or take it as it is by `softmap replay {shlex.quote(str(file))} "
+            "--run RUN.npz`"
         )
-    return run_of(told, model)
+    return run_of(recording, model)
 
 
-def run_of(told: Recording, model: Model | None = None) -> tuple[Run, str | None]:
+def run_of(recording: Recording, model: Model | None = None) -> tuple[Run, str | None]:
     """Return a recording as a run with the frames of its `.seen` file if there is one, and a sentence on missing data.
 
     Raises:
         RunError: as `open_run`, but for numbers that may be wrong.
     """
-    beside = seen_file(told.file)
-    run, lacks = _seen(told, beside) if beside.exists() else (told.run(), None)
-    if told.incomplete is not None and not beside.exists():
+    beside = seen_file(recording.file)
+    run, lacks = _seen(recording, beside) if beside.exists() else (recording.run(), None)
+    if recording.incomplete is not None and not beside.exists():
         lacks = f"its file {beside.name} is missing, so the run has no seen frames"
-    lacks = "; ".join(filter(None, [told.incomplete, lacks])) or None
+    lacks = "; ".join(filter(None, [recording.incomplete, lacks])) or None
     if lacks is not None:
         run = replace(run, extra=run.extra | {DAMAGE: np.array(lacks)})
     kept = model is None or model.calibration is not None or model.command_unit == TICKS
     return run if kept else converted(model, run), lacks
 
 
-def _seen(told: Recording, beside: Path) -> tuple[Run, str | None]:
+def _seen(recording: Recording, beside: Path) -> tuple[Run, str | None]:
     """Return a recording with what was kept of what was seen, and a sentence on the part of that which is missing."""
     kept = read_kept(beside)
     if kept.clock:
         raise RunError(
-            f"{told.file}: of a command file that was cut; `softmap record COMMANDS --recover {beside} --record "
-            f"{told.file} --out RUN.npz` makes its run"
+            f"{recording.file}: of a command file that was cut; `softmap record COMMANDS --recover {beside} --record "
+            f"{recording.file} --out RUN.npz` makes its run"
         )
-    run, inside = with_seen(told, [frame for _, frame in kept.taken], kept.camera, kept.vertices)
+    run, inside = with_seen(recording, [frame for _, frame in kept.taken], kept.camera, kept.vertices)
     if len(inside) and not inside.any():
         raise RunError(
-            f"{beside}: none of its {len(inside)} frames was seen while {told.file.name} was driven; is it that of "
-            "another recording? Move it away, and the run is one of which nothing was seen"
+            f"{beside}: none of its {len(inside)} frames was seen while {recording.file.name} was driven; is it that "
+            "of another recording? Move it away, and the run is one of which nothing was seen"
         )
     return replace(run, robot=kept.robot), kept.lacks
 
 
 def with_seen(
-    told: Recording, frames: Sequence[Frame], camera: HostClock, vertices: int | None
+    recording: Recording, frames: Sequence[Frame], camera: HostClock, vertices: int | None
 ) -> tuple[Run, NDArray[np.bool_]]:
     """Return a recording as a run with these frames, and which of them (K,) lie within it.
 
@@ -110,13 +110,13 @@ def with_seen(
     Raises:
         RunError: as `Recording.run`, or frames of several numbers of points.
     """
-    run = told.run()
+    run = recording.run()
     counts = sorted({len(frame.points) for frame in frames})
     if len(counts) > 1:
         raise RunError(
-            f"{told.file}: frames of {counts} points; a camera's program sends one number of them throughout"
+            f"{recording.file}: frames of {counts} points; a camera's program sends one number of them throughout"
         )
-    taken = camera.times(frames) - told.begun
+    taken = camera.times(frames) - recording.begun
     inside = (taken > run.t[0]) & (taken < run.t[-1])
     if not inside.any():
         return run, inside

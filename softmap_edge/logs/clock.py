@@ -114,16 +114,16 @@ def kept(cells: Cells, keep: NDArray[np.bool_]) -> Cells:
 
 def _leaps(where: str, cells: Cells, row: NDArray[np.int64], leap: Jump | None) -> list[str]:
     """Return sentences on the leaps of a clock that was set forward."""
-    told = []
+    lines = []
     for at, size in () if leap is None else zip(leap.rows[:_LISTED], leap.size_s):
-        told.append(
+        lines.append(
             f"t: time leaps by {size:.6g} s at row {row[at]} ({where} {cells.lines[at]}), and the values go "
             'on as if none had passed: a clock that was set forward? time.jumps = "mend" takes the step out; to_row = '
             f"{row[at - 1]} and from_row = {row[at]} cut the log in two"
         )
     if leap is not None and len(leap.rows) > _LISTED:
-        told.append(f"t: time leaps in the same way at {len(leap.rows) - _LISTED} more rows")
-    return told
+        lines.append(f"t: time leaps in the same way at {len(leap.rows) - _LISTED} more rows")
+    return lines
 
 
 def increasing(t: Array) -> NDArray[np.bool_]:

@@ -67,18 +67,18 @@ class Lost:
     def lines(self, labels: Sequence[str], remedy: str) -> list[str]:
         """Return a sentence for each place that stands for "not seen", and one for places that are held."""
         count = len(self.mask)
-        told = []
+        lines = []
         for place in dict.fromkeys(one.place for one in self.constants):
             ones = [one for one in self.constants if one.place == place]
             frames = np.unique(np.concatenate([one.frames for one in ones]))
             where = f"({', '.join(f'{x + 0.0:.10g}' for x in place)})" if len(place) > 1 else f"{place[0]:.10g}"
             named = _named([(labels[one.marker], len(one.frames)) for one in ones])
-            told.append(f"{len(frames)} of {count} frames at exactly {where} are taken as not seen: {named}; {remedy}")
+            lines.append(f"{len(frames)} of {count} frames at exactly {where} are taken as not seen: {named}; {remedy}")
         for number, axis in dict.fromkeys((one.number, one.axis) for one in self.coordinates):
             same = [one for one in self.coordinates if (one.number, one.axis) == (number, axis)]
             frames = np.unique(np.concatenate([one.frames for one in same]))
             named = _named([(labels[one.marker], len(one.frames)) for one in same])
-            told.append(
+            lines.append(
                 f"{len(frames)} of {count} frames with {NAMES[axis]} at exactly {number + 0.0:.10g} are taken as not "
                 f"seen: {named}; {remedy}"
             )
@@ -87,11 +87,11 @@ class Lost:
             each: dict[str, int] = {}
             for one in self.held:
                 each[labels[one.marker]] = each.get(labels[one.marker], 0) + len(one.frames)
-            told.append(
+            lines.append(
                 f"{len(frames)} of {count} frames repeat the last place of a marker to the last digit while the robot "
                 f"moves, and are taken as not seen: {_named(list(each.items()))}; {remedy}"
             )
-        return told
+        return lines
 
 
 def _named(counts: list[tuple[str, int]]) -> str:

@@ -52,20 +52,20 @@ class Shifted:
 
     def lines(self, labels: Sequence[str], remedy: str) -> list[str]:
         """Return the sentences that report the columns."""
-        told = []
+        lines = []
         moved = self.wrong & (self.shows != NOWHERE)
         if moved.any():
-            told.append(
+            lines.append(
                 f"{int(moved.any(axis=1).sum())} of {len(moved)} frames list fewer markers, and a column shows the "
                 f"neighbour of its marker: {_named(moved, labels)}; {remedy}"
             )
         twice = self.shows == NOWHERE
         if twice.any():
-            told.append(
+            lines.append(
                 f"{int(twice.any(axis=1).sum())} of {len(twice)} frames give two markers one place to the last digit, "
                 f"which is one measurement: {_named(twice, labels)} taken as not seen"
             )
-        return told
+        return lines
 
 
 def _named(columns: NDArray[np.bool_], labels: Sequence[str]) -> str:

@@ -149,14 +149,14 @@ class Recording:
         Raises:
             RunError: a period is not of this form.
         """
-        told, servos = [], None
+        heard, servos = [], None
         for k, period in enumerate(self.periods):
             try:
                 servos = _servos(period, servos)
-                told.append(_told(period))
+                heard.append(_told(period))
             except (ValueError, KeyError, TypeError, AttributeError, IndexError) as fault:
                 raise RunError(f"{self.file}: period {k} is damaged ({fault!s:.40}); record again") from None
-        return told
+        return heard
 
 
 def _servos(period: Document, servos: int | None) -> int:

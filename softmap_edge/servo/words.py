@@ -101,7 +101,7 @@ def state(report: dict[str, Any]) -> str:
 
 
 def cause(report: dict[str, Any], limits: Mapping[str, Any] | None = None) -> str:
-    """Return why it is in that state, empty where nothing is told; by `limits` with the value and its limit."""
+    """Return why it is in that state, "" if the report names no cause; with `limits` with the value and its limit."""
     name, servo = str(report.get("cause", "none")), report.get("servo")
     if name == "hardware" and (said := errors(report)):
         return said

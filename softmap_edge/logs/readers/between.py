@@ -83,12 +83,12 @@ class Between:
 
     def lines(self) -> list[str]:
         """Return the sentences that name the lines."""
-        told = []
+        sentences = []
         if self.heads:
-            told.append(f"lines that repeat the head of the table were left out: {_named(self.heads)}")
+            sentences.append(f"lines that repeat the head of the table were left out: {_named(self.heads)}")
         if self.remarks:
-            told.append(f"remarks between the rows were left out: {_named(self.remarks)}")
-        return told
+            sentences.append(f"remarks between the rows were left out: {_named(self.remarks)}")
+        return sentences
 
 
 def _letters(cell: str) -> int:
