@@ -27,7 +27,6 @@ from softmap_edge.servo.proof import check_proved
 from softmap_edge.servo.rig import Rig, RigServo, read_rig
 from softmap_edge.signed_udp import read_key
 
-NEAR = 150  # ticks from home that a straight finger may stand, as in homing
 SCAN = "run `softmap servo scan --rig FILE`"
 
 
@@ -167,6 +166,8 @@ def _home(bench: Rig, servo: RigServo, position: int) -> Line:
             check_proved(bus, [(servo.id, servo.home)])
     except ServoError as fault:
         return faulty(name, str(fault).removeprefix(f"servo {servo.id}: "), SCAN)
+    from softmap_edge.commissioning.home import NEAR
+
     away = position - (servo.home or 0)
     stands = f"; it stands {away:+d} ticks from there" if abs(away) > NEAR else ""
     return Line(name, OK, f"proved since power-up, at {servo.home}{stands}")
