@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.printable import listed
-from softmap_edge.run import Run
+from softmap_edge.run import Run, spool_radius
 
 Floats = NDArray[np.float64]
 TURNS = (2 * np.pi, 360.0, 3600.0, 36000.0, *(2.0**bits for bits in range(8, 25)))
@@ -82,7 +82,7 @@ def unwrapped(values: Floats, turn: float) -> tuple[Floats, int]:
 
 def roll_overs_of(run: Run) -> list[str]:
     """Return a sentence for each kind of drive data of a run that rolls over."""
-    radius = run.spool_radius
+    radius = spool_radius(run.extra)
     found: list[str] = []
     for name in DRIVES:
         rows: Any = getattr(run, name)

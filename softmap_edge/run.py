@@ -13,7 +13,7 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal, overload
@@ -46,6 +46,19 @@ DAMAGE = "damage"  # the field with a sentence on what the recording lacks of wh
 # Fields of `extra` that our own verbs write.
 OURS = {BASE_MARKERS, SPOOL_RADIUS, ROLL_SEEN, NOT_SEEN, PLANE, HOME_TICKS, "made_by", "made_from", "marker_labels"}
 OURS |= {CALIBRATION, DAMAGE, *PIECES}
+
+
+def spool_radius(extra: Mapping[str, NDArray[Any]]) -> float | None:
+    """Return the radius of the spools (mm) that a mapping declared, of `Run.extra`; None without a plausible one."""
+    value = np.asarray(extra.get(SPOOL_RADIUS, 0.0))
+    plain = value.ndim == 0 and value.dtype.kind in "fiu"
+    return float(value) if plain and SPOOLS_MM[0] <= float(value) <= SPOOLS_MM[1] else None
+
+
+def text_in(extra: Mapping[str, NDArray[Any]], name: str) -> str | None:
+    """Return the text of a field of `Run.extra`; None if there is none, or an array of another program."""
+    field = extra.get(name)
+    return None if field is None or field.dtype.kind != "U" or field.size != 1 else str(field.reshape(-1)[0])
 
 
 def _load(path: str | os.PathLike[str], limit: int = MAX_BYTES) -> Run:
@@ -234,19 +247,6 @@ class Run:
     def frames(self) -> int:
         """K, the number of frames seen."""
         return len(self.t_seen)
-
-    def text(self, name: str) -> str | None:
-        """Return the text of a field of `extra`; None if there is none, or an array of another program."""
-        field = self.extra.get(name)
-        alone = field is not None and field.dtype.kind == "U" and field.size == 1
-        return str(field.reshape(-1)[0]) if alone and field is not None else None
-
-    @property
-    def spool_radius(self) -> float | None:
-        """The radius of the spools that the mapping declared, mm; None without a plausible one."""
-        value = np.asarray(self.extra.get(SPOOL_RADIUS, 0.0))
-        plain = value.ndim == 0 and value.dtype.kind in "fiu"
-        return float(value) if plain and SPOOLS_MM[0] <= float(value) <= SPOOLS_MM[1] else None
 
     @property
     def marker_names(self) -> list[str]:

@@ -22,7 +22,7 @@ from softmap_edge.registration.clouds import with_depth
 from softmap_edge.report.advice_text import advice_lines
 from softmap_edge.report.numbers import folded
 from softmap_edge.rollover import roll_overs_of
-from softmap_edge.run import BASE_MARKERS, DAMAGE, NO_COMMANDS, OURS, Run, known
+from softmap_edge.run import BASE_MARKERS, DAMAGE, NO_COMMANDS, OURS, Run, known, text_in
 from softmap_edge.run_contents import command_ranges, rounded
 from softmap_edge.ticks import converted
 from softmap_edge.views import laid
@@ -242,7 +242,7 @@ def _missing(run: Run, document: dict[str, Any]) -> list[str]:
 
 def _damage(run: Run) -> list[str]:
     """Return a sentence if the run was made of a damaged recording or log."""
-    text = run.text(DAMAGE)
+    text = text_in(run.extra, DAMAGE)
     return [] if text is None else [f"made of what could be read: {text}"]
 
 

@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from softmap_edge.errors import CalibrationError
 from softmap_edge.home_command import home_command
-from softmap_edge.run import CALIBRATION, HOME_TICKS, Run
+from softmap_edge.run import CALIBRATION, HOME_TICKS, Run, text_in
 
 Floats = NDArray[np.float64]
 
@@ -245,7 +245,7 @@ def converted(model: Any, run: Run) -> Run:
 
 def _driven_by(run: Run, unit: str) -> Calibration | None:
     """Return the map by which the robot was driven, if a run in ticks holds it and it gives commands in `unit`."""
-    kept = run.text(CALIBRATION)
+    kept = text_in(run.extra, CALIBRATION)
     if kept is None or (run.ticks is None and run.present_ticks is None):
         return None
     try:

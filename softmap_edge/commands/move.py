@@ -23,8 +23,8 @@ from softmap_edge.hints import with_files
 from softmap_edge.motion.curves import WIDEST
 from softmap_edge.printable import raw
 from softmap_edge.servo import words
+from softmap_edge.servo.conditions import JOG_TRAVEL
 from softmap_edge.servo.controller import Controller
-from softmap_edge.servo.limits import JOG_TRAVEL
 from softmap_edge.servo.proof import forget
 from softmap_edge.servo.rig import Rig, read_rig
 from softmap_edge.terminal_keys import EMERGENCY

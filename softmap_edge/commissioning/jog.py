@@ -21,9 +21,10 @@ from softmap_edge.errors import GuardStopped, ServoError
 from softmap_edge.servo import words
 from softmap_edge.servo.bus import opened
 from softmap_edge.servo.combined import of_bench
+from softmap_edge.servo.conditions import JOG_TRAVEL
 from softmap_edge.servo.controller import Controller
 from softmap_edge.servo.emergency_key import PRESSED
-from softmap_edge.servo.limits import JOG_SLEW, JOG_TRAVEL, Table, loop_limits, servo_limits, strongest
+from softmap_edge.servo.limits import JOG_SLEW, Table, loop_limits, servo_limits, strongest
 from softmap_edge.servo.models import servo_model
 from softmap_edge.servo.proof import forget, marked
 from softmap_edge.servo.rig import FARTHEST, Rig

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from softmap_edge.diagnosis.floor import commanded
 from softmap_edge.logs.not_seen import not_seen
 from softmap_edge.logs.shifted import find_shifted
-from softmap_edge.run import NOT_SEEN, Run, known
+from softmap_edge.run import NOT_SEEN, Run, known, text_in
 
 Mask = NDArray[np.bool_]
 
@@ -53,7 +53,7 @@ def lost_points(run: Run, remedy: str = REMEDY) -> tuple[Mask, list[str]]:
 
 def _looked_for(run: Run) -> bool:
     """Return whether an import has searched for such points, or the user keeps them; an array does not count."""
-    return run.text(NOT_SEEN) in WORDS
+    return text_in(run.extra, NOT_SEEN) in WORDS
 
 
 def without_lost(run: Run, remedy: str = KEEP) -> tuple[Run, list[str]]:

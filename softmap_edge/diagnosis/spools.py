@@ -12,16 +12,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.diagnosis.layout import Layout
+from softmap_edge.run import Run, spool_radius
 from softmap_edge.ticks import TURN, Calibration
-
-if TYPE_CHECKING:
-    from softmap_edge.run import Run
 
 Floats = NDArray[np.float64]
 
@@ -44,7 +42,7 @@ def spool_of(model: Any, runs: Sequence[Run]) -> Spool | None:
     calibration: Calibration | None = getattr(model, "calibration", None)
     if calibration is not None and calibration.unit == model.command_unit:
         return _calibrated(calibration)
-    declared = [run.spool_radius for run in runs]
+    declared = [spool_radius(run.extra) for run in runs]
     radii = np.array([radius for radius in declared if radius is not None])
     if not len(runs) or len(radii) < len(runs) or getattr(model, "command_unit", "mm") != "mm":
         return None

@@ -11,8 +11,8 @@ from collections.abc import Mapping
 from typing import Any
 
 from softmap_edge.servo.known_state import Asked, Found, Values, usual
-from softmap_edge.servo.limits import JOG_TRAVEL
 
+JOG_TRAVEL = 300.0  # ticks that one jog may turn
 PER_VOLT = 10  # register units of the supply voltage
 COOL_DOWN = "let it cool with torque off, and find why it got warm: a load, little air, a high current cap"
 POWER = "check the power supply and its cable"

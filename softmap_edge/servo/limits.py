@@ -12,6 +12,7 @@ from typing import Any
 from softmap_edge import _core
 from softmap_edge.errors import ServoError
 from softmap_edge.safety import BURST, HOLD, JUMP, RAMP, SLACKEN, STALE, TURNS_A_SECOND
+from softmap_edge.servo.conditions import JOG_TRAVEL
 from softmap_edge.servo.models import Entry, servo_model
 
 Table = dict[str, Any]
@@ -24,7 +25,7 @@ NEAR = 400.0  # ticks that it may be behind in any case, however slow
 CURRENT = 0.35  # of a servo's own limit
 FASTER = 1.5  # than a servo's own fastest turn is no position to believe
 BAND = 0.02  # mm that a goal comes back before its servo turns
-JOG_TRAVEL, JOG_SLEW, JOG_CURRENT = 300.0, 200.0, 150.0  # ticks, ticks/s, mA: what a jog may do
+JOG_SLEW, JOG_CURRENT = 200.0, 150.0  # ticks/s, mA: what a jog may do
 COOL = (15.0, 5.0)  # °C below its own limit at which a servo's current is cut back, and at which it slackens
 
 
