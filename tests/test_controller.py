@@ -264,6 +264,7 @@ def test_a_loop_that_dies_or_freezes_is_released_from_here(program, how):
 def test_with_nobody_left_the_watchdogs_stop_and_hold_and_the_next_start_says_so(program):
     bus, user, loop = program
     user.send_signal(signal.SIGSTOP)  # cannot rescue
+    os.waitpid(user.pid, os.WUNTRACED)  # until each of its threads has stopped
     os.kill(loop, signal.SIGKILL)
     until(lambda: all(tripped for _, _, tripped, _ in bus.state()[1]), 1.0)
     at = angles(bus)
