@@ -23,12 +23,13 @@ from benches.peer_elastic import markers as peer_markers
 from benches.peer_newton import NumpySolid
 from benches.peer_rollout import EFFECTS, backlash_and_creep, numbers
 from benches.row import ratio, side_by_side
-from softmap_edge import __version__, _core
+from softmap_edge import _core
 from softmap_edge.bundle import builtin_model
 from softmap_edge.rod.robot import Robot
 from softmap_edge.run import Run
 from softmap_edge.solid.finger import Finger
 from softmap_edge.solid.simulator import Simulator
+from softmap_edge.version import __version__
 
 
 def main() -> int:

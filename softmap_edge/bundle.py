@@ -36,7 +36,7 @@ from typing import Any
 
 import numpy as np
 
-from softmap_edge import __version__, _core, own_effect
+from softmap_edge import _core, own_effect
 from softmap_edge.coverage import Coverage
 from softmap_edge.errors import BundleError, CalibrationError, SoftmapError, brief
 from softmap_edge.learned_in import read_learned_in
@@ -49,6 +49,7 @@ from softmap_edge.safety import Safety, derived, read_safety
 from softmap_edge.shape_arrays import cables_from, family_from, fields_from, second_from
 from softmap_edge.template_arrays import template_arrays, template_from
 from softmap_edge.ticks import Calibration
+from softmap_edge.version import __version__
 from softmap_edge.whole_file import MOST_TEXT
 
 _MAX_BYTES = 256 << 20

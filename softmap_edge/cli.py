@@ -11,14 +11,14 @@ from contextlib import contextmanager, nullcontext
 from importlib.metadata import entry_points
 from typing import TextIO, cast
 
-from softmap_edge import SoftmapError, __version__
 from softmap_edge.commands import ELSEWHERE, VERBS, Verb
 from softmap_edge.commands.incomplete import telling
 from softmap_edge.commands.parser import Parser
 from softmap_edge.commands.pipe import outliving
-from softmap_edge.errors import no_name
+from softmap_edge.errors import SoftmapError, no_name
 from softmap_edge.hints import with_files
 from softmap_edge.printable import PrintableStream, one_line
+from softmap_edge.version import __version__
 
 DONE, FAULT, WRONG_USE = 0, 1, 2
 NEGATIVE = re.compile(r"-[\d.][^:]*,")

@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass
 
 from benches.outside.case import Case, text
 from benches.outside.ours import Answer
-from softmap_edge import __version__
+from softmap_edge.version import __version__
 
 SCHEMA = "softmap.outside_bench/1"
 PEERS = {

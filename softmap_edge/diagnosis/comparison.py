@@ -302,7 +302,7 @@ def _model_digest(model: Model) -> str:
 
 
 def _made_from(kind: str, model: Model, run: Run) -> dict[str, Any]:
-    from softmap_edge import __version__
+    from softmap_edge.version import __version__
 
     made: dict[str, Any] = {"softmap_edge": __version__, "numpy": np.__version__, "noise_floor": kind}
     made |= {} if model.output is None else {"output": model.output.to_dict()}

@@ -400,7 +400,7 @@ def _error(outcome: Outcome, order: Sequence[str], other: Record | None) -> Erro
 
 
 def _made_from(outcome: Outcome, order: Sequence[str], context: Context, registry: Registry) -> dict[str, Any]:
-    from softmap_edge import __version__
+    from softmap_edge.version import __version__
 
     problem, other = outcome.body.problem, context.other
     record = problem.record

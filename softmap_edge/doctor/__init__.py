@@ -14,9 +14,9 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from softmap_edge import __version__
 from softmap_edge.doctor.line import FAULT, OK, WARNING, Line
 from softmap_edge.hints import filled
+from softmap_edge.version import __version__
 
 __all__ = ["FAULT", "OK", "WARNING", "Examined", "Line", "examine"]
 

@@ -17,8 +17,8 @@ from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
-from softmap_edge import __version__
 from softmap_edge.doctor.line import FAULT, OK, WARNING, Line, faulty
+from softmap_edge.version import __version__
 
 PROC, DEV, SYS = Path("/proc"), Path("/dev"), Path("/sys")
 PYTHON = (3, 11)

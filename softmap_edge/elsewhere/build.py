@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from softmap_edge import __version__, _core
+from softmap_edge import _core
 from softmap_edge.elsewhere.bending import Stiffness, fields, weigh
 from softmap_edge.elsewhere.centreline import Centreline, farthest, find_centreline
 from softmap_edge.elsewhere.scattered import fit_scattered
@@ -32,6 +32,7 @@ from softmap_edge.safety import derived
 from softmap_edge.shape_arrays import family_from, fields_from
 from softmap_edge.solid.build import FIELD_STEPS, Progress, from_sweep, leading, simulator_of
 from softmap_edge.solid.simulator import Sweep, tensor_grid
+from softmap_edge.version import __version__
 
 Floats = NDArray[np.float64]
 Errors = list[tuple[Floats, Floats]]  # coefficients left out (n, m), and what the modes do not hold (n, M)

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from softmap_edge import __version__, _core
+from softmap_edge import _core
 from softmap_edge.coverage import Coverage, apart, said_apart
 from softmap_edge.diagnosis.base_motion import kept_places
 from softmap_edge.diagnosis.lost import without_lost
@@ -37,6 +37,7 @@ from softmap_edge.run import HOME_TICKS, Run
 from softmap_edge.run_pieces import spans
 from softmap_edge.safety import derived
 from softmap_edge.ticks import from_home
+from softmap_edge.version import __version__
 
 if TYPE_CHECKING:
     from softmap_edge.rod.robot import Robot

@@ -29,7 +29,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from softmap_edge import __version__, _core
+from softmap_edge import _core
 from softmap_edge.errors import GuardStopped, RecordingBroken, ServoError, SoftmapError
 from softmap_edge.motion.kinematics import Kinematics
 from softmap_edge.servo import session_mark, words
@@ -40,6 +40,7 @@ from softmap_edge.servo.known_state import gains_of
 from softmap_edge.servo.rig import Rig
 from softmap_edge.servo.watched import Watched
 from softmap_edge.ticks import Calibration
+from softmap_edge.version import __version__
 
 Floats = NDArray[np.float64]
 Report = dict[str, Any]

@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from softmap_edge import __version__, _core
+from softmap_edge import _core
 from softmap_edge.errors import FingerError, SoftmapError
 from softmap_edge.features import SECTIONS, sections_of, tip_of
 from softmap_edge.model import Arrays, Model
@@ -26,6 +26,7 @@ from softmap_edge.solid.bodies import Meshed
 from softmap_edge.solid.doubts import doubts, lost_in_tendons
 from softmap_edge.solid.finger import Finger
 from softmap_edge.solid.simulator import Bend, Compliance, Simulator, Sweep, tensor_grid
+from softmap_edge.version import __version__
 
 Floats = NDArray[np.float64]
 Progress = Callable[[str, float], None]

@@ -17,11 +17,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from softmap_edge import __version__, _core
+from softmap_edge import _core
 from softmap_edge.errors import FingerError, SimulationError, SoftmapError, brief
 from softmap_edge.npz import read_npz, write_npz
 from softmap_edge.solid.finger import Finger
 from softmap_edge.solid.groups import named_cells
+from softmap_edge.version import __version__
 
 Floats = NDArray[np.float64]
 Progress = Callable[[float], None]

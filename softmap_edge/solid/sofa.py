@@ -14,9 +14,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from softmap_edge import __version__, _core
+from softmap_edge import _core
 from softmap_edge.errors import FingerError
 from softmap_edge.solid.finger import Finger
+from softmap_edge.version import __version__
 
 _TONNES = 1e-12  # of a kg/m³, in tonnes/mm³
 _GUIDES = 24  # along a tendon that is given by a formula

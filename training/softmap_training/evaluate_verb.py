@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from softmap_edge import __version__
 from softmap_edge.alignment.matching import match
 from softmap_edge.commands.output import check_file
 from softmap_edge.commands.own import effects_argument, load_own, open_model
@@ -20,6 +19,7 @@ from softmap_edge.experiment.recorded import open_run
 from softmap_edge.npz import read_npz
 from softmap_edge.outside import beyond, unlike
 from softmap_edge.run import Run
+from softmap_edge.version import __version__
 from softmap_training import choices
 from softmap_training.baselines import NAMES as BASELINES
 from softmap_training.errors import TrainingError
