@@ -26,7 +26,7 @@ from benches.row import ratio, side_by_side
 from softmap_edge import _core
 from softmap_edge.bundle import builtin_model
 from softmap_edge.rod.robot import Robot
-from softmap_edge.run import Run
+from softmap_edge.run.run import Run
 from softmap_edge.solid.finger import Finger
 from softmap_edge.solid.simulator import Simulator
 from softmap_edge.version import __version__

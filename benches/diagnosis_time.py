@@ -50,7 +50,7 @@ print(json.dumps({
 
 def rows(profile: bool = False) -> Iterator[dict[str, object]]:
     """Yield one row of the bench for each diagnosis."""
-    from softmap_edge.protocol import standard_protocol
+    from softmap_edge.run.protocol import standard_protocol
     from softmap_edge.truth import hide
 
     with tempfile.TemporaryDirectory() as name:

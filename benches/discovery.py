@@ -47,7 +47,7 @@ from benches.bank.odd import curved_share
 from benches.bank.shop import unknown_family
 from softmap_edge import Diagnosis, Run, _core, builtin_model, diagnose
 from softmap_edge.diagnosis.families import families
-from softmap_edge.protocol import standard_protocol
+from softmap_edge.run.protocol import standard_protocol
 from softmap_edge.truth import Camera
 
 Floats = NDArray[np.float64]

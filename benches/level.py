@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from benches.row import ratio, side_by_side
 from softmap_edge import _core
-from softmap_edge.diagnosis.noise import Kernel, Whitener, command_kernel
-from softmap_edge.folds import Folds, run_folds
+from softmap_edge.noise.noise_model import Kernel, Whitener, command_kernel
+from softmap_edge.run.folds import Folds, run_folds
 
 Floats = NDArray[np.float64]
 

@@ -26,9 +26,9 @@ from benches.data import ROOT, find_or_say
 from benches.trunk import PEERS as USUAL
 from benches.trunk import Process, cross_validate
 from softmap_edge import Diagnosis, Model, Robot, Run, compare, diagnose, import_logs, read_mapping
-from softmap_edge.folds import folds
 from softmap_edge.rod.learn import LearnedRod, learn, learned_model
 from softmap_edge.rod.regression import rms
+from softmap_edge.run.folds import folds
 
 Floats = NDArray[np.float64]
 Row = dict[str, float | str | None]

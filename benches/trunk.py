@@ -27,10 +27,10 @@ from sklearn.preprocessing import PolynomialFeatures, StandardScaler
 
 from benches.data import find_or_say
 from benches.trunk_load import FREE, read, report
-from softmap_edge.folds import Folds, folds
 from softmap_edge.rod.learn import LearnedRod, learn
 from softmap_edge.rod.regression import Drive, Record
-from softmap_edge.run import Run, Source
+from softmap_edge.run.folds import Folds, folds
+from softmap_edge.run.run import Run, Source
 
 Floats = NDArray[np.float64]
 BLOCKS, GAP_S = 5, 2.0

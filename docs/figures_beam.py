@@ -19,7 +19,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))  # benches/ stands beside doc
 from benches.beam import LOADS_G, NEWTON_PER_G, fitted, read
 from benches.data import find_or_say
 from softmap_edge import Finger, Run, Simulator
-from softmap_edge.features import attach
+from softmap_edge.geometry.sections import attach
 from softmap_edge.report.figures import AFTER, BEFORE, FAINT, INK, STYLE, WIDE, svg
 
 

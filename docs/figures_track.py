@@ -21,8 +21,8 @@ from softmap_edge.commands.robot import plain_map
 from softmap_edge.emulated.finger import emulated_bench, hidden_laws
 from softmap_edge.motion.kinematics import Kinematics
 from softmap_edge.motion.track import Course, Tracked, course, track
-from softmap_edge.protocol import standard_protocol
 from softmap_edge.report.figures import AFTER, BEFORE, INK, STYLE, WIDE, svg
+from softmap_edge.run.protocol import standard_protocol
 from softmap_edge.servo.controller import Controller
 from softmap_edge.servo.limits import ACCELERATION, SLEW
 

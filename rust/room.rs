@@ -2,7 +2,7 @@
 
 use crate::error::{Result, invalid};
 
-/// No answer is larger, bytes; an array archive is not read beyond this either (`softmap_edge/npz.py`).
+/// No answer is larger, bytes; an array archive is not read beyond this either (`softmap_edge/files/npz.py`).
 const MOST: usize = 4 << 30;
 /// From this size on the system is asked whether it has the memory, bytes; below, asking would cost more than it saves.
 const LARGE: usize = 64 << 20;

@@ -24,8 +24,8 @@ from softmap_edge.report.html import write_html as write_html
 from softmap_edge.residual import learn_residual as learn_residual
 from softmap_edge.rod.learn import learn_model as learn_model
 from softmap_edge.rod.robot import Robot as Robot
-from softmap_edge.run import Run as Run
-from softmap_edge.run_join import join_runs as join_runs
+from softmap_edge.run.join import join_runs as join_runs
+from softmap_edge.run.run import Run as Run
 from softmap_edge.servo.bench import open_robot as open_robot
 from softmap_edge.solid.build import build_model as build_model
 from softmap_edge.solid.finger import Finger as Finger

@@ -28,7 +28,7 @@ from softmap_edge.residual import ROWS, learn_residual
 
 if TYPE_CHECKING:
     from softmap_edge.model import Model
-    from softmap_edge.run import Run
+    from softmap_edge.run.run import Run
 
 SCHEMA = "softmap.adaptation/1"
 WAYS = ("as it stood", "residual alone", "physics alone", "physics, then residual")

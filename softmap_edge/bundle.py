@@ -39,18 +39,18 @@ import numpy as np
 from softmap_edge import _core, own_effect
 from softmap_edge.coverage import Coverage
 from softmap_edge.errors import BundleError, CalibrationError, SoftmapError, brief
+from softmap_edge.files.atomic import MOST_TEXT
+from softmap_edge.files.npz import read_npz, write_npz
 from softmap_edge.learned_in import read_learned_in
 from softmap_edge.manifest import LARGEST, check_within, finite_number, load_manifest, read_json
 from softmap_edge.model import Arrays, Model
 from softmap_edge.network import MOST_BYTES, read_network
-from softmap_edge.npz import read_npz, write_npz
-from softmap_edge.output import Output
+from softmap_edge.run.output import Output
 from softmap_edge.safety import Safety, derived, read_safety
 from softmap_edge.shape_arrays import cables_from, family_from, fields_from, second_from
 from softmap_edge.template_arrays import template_arrays, template_from
 from softmap_edge.ticks import Calibration
 from softmap_edge.version import __version__
-from softmap_edge.whole_file import MOST_TEXT
 
 _MAX_BYTES = 256 << 20
 _MOST = {".json": 16 << 20, ".npz": _MAX_BYTES, ".onnx": MOST_BYTES, ".toml": MOST_TEXT, ".py": own_effect.MAX_BYTES}

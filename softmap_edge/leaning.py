@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge import _core
-from softmap_edge.run import Run
+from softmap_edge.run.run import Run
 
 if TYPE_CHECKING:
     from softmap_edge.model import Model

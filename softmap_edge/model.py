@@ -21,19 +21,19 @@ from softmap_edge import _core, views
 from softmap_edge.chain_labels import named, readings, spread, valued
 from softmap_edge.coverage import Coverage
 from softmap_edge.errors import SoftmapError
-from softmap_edge.features import Body, FeatureMap, marker_features, section_features, upright
+from softmap_edge.geometry.sections import Body, FeatureMap, marker_features, section_features, upright
 from softmap_edge.learned_in import LearnedIn, read_learned_in
-from softmap_edge.output import Output
 from softmap_edge.outside import check_commands
-from softmap_edge.plane import flat
 from softmap_edge.predictors import Contact, Shape, stations, tip, whole
-from softmap_edge.run_pieces import spans
+from softmap_edge.run.output import Output
+from softmap_edge.run.pieces import spans
+from softmap_edge.run.plane import flat
 from softmap_edge.shape_arrays import family_from
 from softmap_edge.ticks import Calibration, converted
 
 if TYPE_CHECKING:
     from softmap_edge.rod.elastic import Change, ElasticParameters
-    from softmap_edge.run import Run
+    from softmap_edge.run.run import Run
     from softmap_edge.safety import Safety
 
 Floats = NDArray[np.float64]

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from softmap_edge import _core
 from softmap_edge.errors import BundleError, SoftmapError, brief
-from softmap_edge.in_child import ChildFault, in_child
+from softmap_edge.files.child import ChildFault, in_child
 
 Floats = NDArray[np.float64]
 Arrays = dict[str, NDArray[Any]]

@@ -17,7 +17,7 @@ from softmap_edge.errors import RunError
 
 if TYPE_CHECKING:
     from softmap_edge.model import Model
-    from softmap_edge.run import Run
+    from softmap_edge.run.run import Run
 
 Floats = NDArray[np.float64]
 BEYOND = 0.05  # share of its range by which a command may leave it before a word is said

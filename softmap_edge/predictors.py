@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge import _core
-from softmap_edge.features import FeatureMap
+from softmap_edge.geometry.sections import FeatureMap
 from softmap_edge.network import tabulated
 
 if TYPE_CHECKING:

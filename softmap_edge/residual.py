@@ -25,15 +25,15 @@ from numpy.typing import NDArray
 
 from softmap_edge.elsewhere.scattered import fit_scattered, half_range
 from softmap_edge.errors import SoftmapError
-from softmap_edge.folds import Folds, run_folds
 from softmap_edge.outside import span
-from softmap_edge.run import known
+from softmap_edge.run.folds import Folds, run_folds
+from softmap_edge.run.run import known
 from softmap_edge.shape_arrays import family_from
 from softmap_edge.views import laid
 
 if TYPE_CHECKING:
     from softmap_edge.model import Arrays, Model
-    from softmap_edge.run import Run
+    from softmap_edge.run.run import Run
 
 Floats = NDArray[np.float64]
 Missed = tuple[Floats, Floats, NDArray[np.bool_]]  # commands (S, C), what is missed (S, 3N) mm, points seen (S, N)

@@ -14,16 +14,16 @@ import numpy as np
 
 from softmap_edge.diagnosis.advice import Word, advice, home_unknown
 from softmap_edge.diagnosis.collinear import collinear_conditions
-from softmap_edge.diagnosis.conditions import HOME, conditions, orientations
 from softmap_edge.diagnosis.frame_clock import frame_clock
 from softmap_edge.diagnosis.lost import REMEDY, without_lost
 from softmap_edge.diagnosis.unanswered import unanswered
+from softmap_edge.files.numbers import folded
 from softmap_edge.registration.clouds import with_depth
 from softmap_edge.report.advice_text import advice_lines
-from softmap_edge.report.numbers import folded
-from softmap_edge.rollover import roll_overs_of
-from softmap_edge.run import BASE_MARKERS, DAMAGE, NO_COMMANDS, OURS, Run, known, text_in
-from softmap_edge.run_contents import command_ranges, rounded
+from softmap_edge.run.conditions import HOME, conditions, orientations
+from softmap_edge.run.contents import command_ranges, rounded
+from softmap_edge.run.rollover import roll_overs_of
+from softmap_edge.run.run import BASE_MARKERS, DAMAGE, NO_COMMANDS, OURS, Run, known, text_in
 from softmap_edge.ticks import converted
 from softmap_edge.views import laid
 

@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 
 from softmap_edge import _core
 from softmap_edge.errors import BundleError, SoftmapError
+from softmap_edge.files.toml import TomlTable, quoted
 from softmap_edge.shape_arrays import plain_table
-from softmap_edge.toml_table import TomlTable, quoted
 
 if TYPE_CHECKING:
     from softmap_edge.model import Model

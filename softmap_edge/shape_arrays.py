@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge import _core
-from softmap_edge.npz import unpacked
+from softmap_edge.files.npz import unpacked
 
 _SHARED = ("modes", "nodes", "scale", "power")  # what the fields of one bundle have in common beside their axes
 _TENSION = "tension_"  # what the field of a tendon is called, before its number

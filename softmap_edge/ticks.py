@@ -20,8 +20,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from softmap_edge.errors import CalibrationError
-from softmap_edge.home_command import home_command
-from softmap_edge.run import CALIBRATION, HOME_TICKS, Run, text_in
+from softmap_edge.run.rest_command import home_command
+from softmap_edge.run.run import CALIBRATION, HOME_TICKS, Run, text_in
 
 Floats = NDArray[np.float64]
 

@@ -25,9 +25,9 @@ from numpy.typing import NDArray
 
 from softmap_edge import _core
 from softmap_edge.errors import SoftmapError, no_name
-from softmap_edge.features import SECTIONS, sections_of
-from softmap_edge.protocol import Protocol, standard_protocol
-from softmap_edge.run import Run
+from softmap_edge.geometry.sections import SECTIONS, sections_of
+from softmap_edge.run.protocol import Protocol, standard_protocol
+from softmap_edge.run.run import Run
 from softmap_edge.solid.finger import Finger
 from softmap_edge.solid.simulator import Simulator, tour
 from softmap_edge.truth_laws import LAWS, NEWTON_PER_GRAM, Law, rotation

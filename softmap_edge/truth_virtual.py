@@ -24,8 +24,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.errors import SoftmapError
-from softmap_edge.protocol import Protocol
-from softmap_edge.run import Run
+from softmap_edge.run.protocol import Protocol
+from softmap_edge.run.run import Run
 from softmap_edge.servo_ticks import PUBLISHED, ServoMap
 from softmap_edge.solid.bodies import Meshed
 from softmap_edge.solid.cut import Cut

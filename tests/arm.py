@@ -11,8 +11,8 @@ from types import SimpleNamespace
 import numpy as np
 
 from softmap_edge import _core
-from softmap_edge.features import FeatureMap
-from softmap_edge.run import Run
+from softmap_edge.geometry.sections import FeatureMap
+from softmap_edge.run.run import Run
 
 SECTIONS, LENGTH, RADIUS = 6, 100.0, 10.0
 

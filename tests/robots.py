@@ -14,8 +14,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from softmap_edge.protocol import standard_protocol
-from softmap_edge.run import Run
+from softmap_edge.run.protocol import standard_protocol
+from softmap_edge.run.run import Run
 from softmap_edge.truth import Camera
 from softmap_edge.truth_laws import LAWS
 

@@ -10,9 +10,9 @@ from softmap_edge import adapt, builtin_model, learn_residual, load_bundle
 from softmap_edge.adaptation import WAYS
 from softmap_edge.cli import main
 from softmap_edge.errors import SoftmapError
-from softmap_edge.protocol import Limits, standard_protocol
 from softmap_edge.protocol_virtual import virtual_protocol
-from softmap_edge.run import Run
+from softmap_edge.run.protocol import Limits, standard_protocol
+from softmap_edge.run.run import Run
 from softmap_edge.truth import hide
 from softmap_edge.truth_clouds import TWO
 from softmap_edge.truth_virtual import virtual_finger

@@ -11,11 +11,11 @@ from logs import published
 from softmap_edge import Run, builtin_model, compare, diagnose, save_bundle
 from softmap_edge.alignment.align import align_base, align_home, clamped_places
 from softmap_edge.alignment.result import in_frame
-from softmap_edge.alignment.rigid import Pose, kabsch, robust, rotation, rotation_vector
 from softmap_edge.cli import main
 from softmap_edge.commands.align import without
 from softmap_edge.errors import RunError
-from softmap_edge.protocol import standard_protocol
+from softmap_edge.geometry.rigid import Pose, kabsch, robust, rotation, rotation_vector
+from softmap_edge.run.protocol import standard_protocol
 
 DEGREES = np.r_[np.full(3, np.degrees(1.0)), np.ones(3)]
 CAMERA = Pose(rotation(np.array([0.4, -2.0, 1.1])), np.array([300.0, -120.0, 900.0]))  # camera → base

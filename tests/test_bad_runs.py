@@ -17,9 +17,9 @@ from softmap_edge.cli import main
 from softmap_edge.diagnosis.sound import sound
 from softmap_edge.errors import SoftmapError
 from softmap_edge.experiment.blocks import chosen, plan
-from softmap_edge.npz import write_npz
-from softmap_edge.protocol import Limits, standard_protocol
-from softmap_edge.run import Run
+from softmap_edge.files.npz import write_npz
+from softmap_edge.run.protocol import Limits, standard_protocol
+from softmap_edge.run.run import Run
 
 CANDIDATES = "backlash,saturation,gain,payload,mount,servo_swap"
 PLAY = {"backlash.gap": 2.0}

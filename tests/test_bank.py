@@ -30,7 +30,7 @@ from benches.bank.store import keep
 from benches.bank.watch import LEVELS, looked, rms, sections
 from benches.bank.work import kept, make, work
 from softmap_edge import _core
-from softmap_edge.run import Run
+from softmap_edge.run.run import Run
 
 BANK = Path(judge.__file__).parent
 T = np.arange(0.0, 30.0, 0.02)

@@ -12,7 +12,7 @@ from benches.bank.laws_wear import Clutch, Torn, WarmCreep
 from benches.bank.odd import TRAPS, curved_share, odd_case
 from benches.bank.shop import ODD_FAMILY
 from benches.bank.watch import rms, sections
-from softmap_edge.protocol import standard_protocol
+from softmap_edge.run.protocol import standard_protocol
 
 T = np.arange(0.0, 60.0, 0.02)
 GRAVITY = np.where((T < 30.0)[:, None], [0.0, 0.0, 1.0], [0.6, 0.0, 0.8])

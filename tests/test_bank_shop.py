@@ -17,7 +17,7 @@ from benches.bank.rod import TOLERANCE, Loads, balance, guides, settle
 from benches.bank.section import finger
 from benches.bank.shop import imperfections, shop_case
 from benches.bank.watch import LEVELS, looked, rms, sections
-from softmap_edge.protocol import HANGING, standard_protocol
+from softmap_edge.run.protocol import HANGING, standard_protocol
 
 T = np.arange(0.0, 30.0, 0.02)
 

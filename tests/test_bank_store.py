@@ -11,7 +11,7 @@ from benches.bank.answers import LAW_OPEN, Answer
 from benches.bank.case import case, protocol_of
 from benches.bank.make import made, verdicts
 from benches.bank.store import Kept, keep, made_by, name_of
-from softmap_edge.run import Run
+from softmap_edge.run.run import Run
 
 TASK = ("development", "A", "easy", "null", 0)
 

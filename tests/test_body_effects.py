@@ -15,7 +15,7 @@ from softmap_edge.diagnosis.layout import ranges_of
 from softmap_edge.diagnosis.prepare import problem_of
 from softmap_edge.diagnosis.records import record_of
 from softmap_edge.motion.kinematics import Kinematics
-from softmap_edge.run import Run
+from softmap_edge.run.run import Run
 
 MODEL = builtin_model()
 RUBBING = {"body_friction.amount": 0.8, "body_friction.width": 1.3}

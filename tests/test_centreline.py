@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from robots import turned
 
-from softmap_edge.elsewhere.centreline import find_centreline
 from softmap_edge.errors import SoftmapError
+from softmap_edge.geometry.centreline import find_centreline
 
 TURN = turned(np.array([0.9, -1.4, 0.6]))
 SHIFT = np.array([30.0, -12.0, 55.0])

@@ -14,13 +14,13 @@ from softmap_edge.diagnosis.families import Body, State, families
 from softmap_edge.diagnosis.findings import Certificate, power
 from softmap_edge.diagnosis.fit import Problem
 from softmap_edge.diagnosis.fits import Fits
-from softmap_edge.diagnosis.noise import command_kernel
 from softmap_edge.diagnosis.outcome import Outcome
 from softmap_edge.diagnosis.prepare import problem_of
 from softmap_edge.diagnosis.record import Record
 from softmap_edge.diagnosis.records import Records
-from softmap_edge.folds import FOLDS, GAP, LABELS_A_FOLD, LEAST_WITHHOLDING, Withheld, run_folds, withheld
+from softmap_edge.noise.noise_model import command_kernel
 from softmap_edge.report.text import diagnosis_text
+from softmap_edge.run.folds import FOLDS, GAP, LABELS_A_FOLD, LEAST_WITHHOLDING, Withheld, run_folds, withheld
 
 NAMES = ["offset", "gain", "latency", "backlash", "creep", "payload", "mount"]
 BEGIN = np.zeros(1, np.intp)

@@ -8,7 +8,7 @@ from test_diagnosis import finger_run
 from test_two_levels import played
 
 from softmap_edge import Run, builtin_model, diagnose
-from softmap_edge.protocol import standard_protocol
+from softmap_edge.run.protocol import standard_protocol
 
 MODEL = builtin_model()
 

@@ -7,9 +7,9 @@ import pytest
 
 from softmap_edge.bundle import builtin_model
 from softmap_edge.diagnosis.diagnose import diagnose
-from softmap_edge.protocol import standard_protocol
 from softmap_edge.registration.register import register
-from softmap_edge.run import ROLL_SEEN, Run
+from softmap_edge.run.protocol import standard_protocol
+from softmap_edge.run.run import ROLL_SEEN, Run
 from softmap_edge.truth import hide
 from softmap_edge.truth_clouds import TWO
 

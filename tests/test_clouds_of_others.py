@@ -15,7 +15,7 @@ from softmap_edge.cli import main
 from softmap_edge.errors import RegistrationError
 from softmap_edge.registration.clouds import clouds_of, read_clouds
 from softmap_edge.registration.pcd import unpack_lzf
-from softmap_edge.run import Run
+from softmap_edge.run.run import Run
 
 CASES = Path(__file__).parent / "data/clouds"
 RNG = np.random.default_rng(5)

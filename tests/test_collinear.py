@@ -10,8 +10,8 @@ from softmap_edge.diagnosis.collinear import collinear_conditions, tied_channels
 from softmap_edge.diagnosis.diagnose import diagnose
 from softmap_edge.logs.guess import guess_mapping
 from softmap_edge.logs.importer import import_logs, read_mapping
-from softmap_edge.protocol import standard_protocol
 from softmap_edge.rod.learn import learn, learned_model
+from softmap_edge.run.protocol import standard_protocol
 from softmap_edge.run_summary import sentences, summary
 
 P = standard_protocol()

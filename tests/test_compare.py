@@ -9,12 +9,12 @@ import pytest
 
 from softmap_edge import builtin_model, diagnose
 from softmap_edge.diagnosis.comparison import Comparison, compare
-from softmap_edge.diagnosis.conditions import cells, conditions
-from softmap_edge.diagnosis.floor import noise_floor
 from softmap_edge.diagnosis.series import series
 from softmap_edge.errors import ComparisonError, RunError
+from softmap_edge.noise.floor import noise_floor
 from softmap_edge.outside import elsewhere
-from softmap_edge.run import Run
+from softmap_edge.run.conditions import cells, conditions
+from softmap_edge.run.run import Run
 
 RINGS, AROUND = 5, 8
 

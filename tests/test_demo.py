@@ -7,8 +7,8 @@ import pytest
 
 from softmap_edge.cli import main
 from softmap_edge.commands.progress import QUIET, Ticker
-from softmap_edge.protocol import standard_protocol
-from softmap_edge.run import Run
+from softmap_edge.run.protocol import standard_protocol
+from softmap_edge.run.run import Run
 from softmap_edge.truth import WATCH, hide, surprise
 from softmap_edge.truth_laws import LAWS
 from softmap_edge.truth_named import NAMED

@@ -19,9 +19,9 @@ from softmap_edge.diagnosis.comparison import compare
 from softmap_edge.diagnosis.diagnose import diagnose, refit
 from softmap_edge.diagnosis.document import Diagnosis
 from softmap_edge.errors import SoftmapError
-from softmap_edge.protocol import standard_protocol
 from softmap_edge.report.text import diagnosis_text
-from softmap_edge.run import Run
+from softmap_edge.run.protocol import standard_protocol
+from softmap_edge.run.run import Run
 
 HIDDEN = {
     "offset": {"offset.shift[0]": 0.9, "offset.shift[1]": -0.9},

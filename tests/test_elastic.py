@@ -11,9 +11,9 @@ from softmap_edge import Robot, _core, compare, diagnose, learn_model, load_bund
 from softmap_edge import save_bundle as save
 from softmap_edge.cli import main
 from softmap_edge.errors import RobotError, RunError, SoftmapError
-from softmap_edge.folds import folds
 from softmap_edge.rod.elastic import ElasticParameters
 from softmap_edge.rod.learn import learn
+from softmap_edge.run.folds import folds
 
 
 def seen_exactly():

@@ -15,7 +15,7 @@ from softmap_edge.errors import SoftmapError
 from softmap_edge.model import Model
 from softmap_edge.rod.elastic import ROUTING, ElasticParameters, Layout
 from softmap_edge.rod.learn import learned_model
-from softmap_edge.run import Run
+from softmap_edge.run.run import Run
 
 run = pytest.fixture(scope="module")(seen_exactly)
 learned = pytest.fixture(scope="module")(learned_from_rough)

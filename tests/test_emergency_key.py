@@ -21,7 +21,7 @@ from softmap_edge.commands.servo_emulate import streaming
 from softmap_edge.emulated.finger import emulated_bench
 from softmap_edge.experiment.blocks import chosen, plan
 from softmap_edge.experiment.command_file import write_commands
-from softmap_edge.protocol import Limits
+from softmap_edge.run.protocol import Limits
 from softmap_edge.servo.emergency_key import HELP, PRESSED
 from softmap_edge.servo.recording import read_recording
 

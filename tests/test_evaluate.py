@@ -28,9 +28,9 @@ from softmap_training.simulated import SimulatedSet  # noqa: E402
 
 from softmap_edge import Run, builtin_model, load_bundle, save_bundle  # noqa: E402
 from softmap_edge.alignment.result import in_frame  # noqa: E402
-from softmap_edge.alignment.rigid import Pose, rotation  # noqa: E402
 from softmap_edge.cli import main  # noqa: E402
 from softmap_edge.errors import RunError  # noqa: E402
+from softmap_edge.geometry.rigid import Pose, rotation  # noqa: E402
 from softmap_edge.residual import learn_residual  # noqa: E402
 from softmap_edge.solid.finger import Finger  # noqa: E402
 from softmap_edge.solid.simulator import Simulator  # noqa: E402

@@ -21,8 +21,8 @@ from softmap_edge.diagnosis.evidence import (
 from softmap_edge.diagnosis.fits import Fits
 from softmap_edge.diagnosis.prepare import problem_of
 from softmap_edge.diagnosis.record import Record
-from softmap_edge.protocol import standard_protocol
-from softmap_edge.run import Run
+from softmap_edge.run.protocol import standard_protocol
+from softmap_edge.run.run import Run
 
 FEW = ["gain", "latency", "clock_shift", "backlash", "creep", "mount"]
 

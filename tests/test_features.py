@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from softmap_edge.errors import SoftmapError
-from softmap_edge.features import attach, section_features, seen_residual, upright
-from softmap_edge.npz import read_npz, write_npz
+from softmap_edge.files.npz import read_npz, write_npz
+from softmap_edge.geometry.sections import attach, section_features, seen_residual, upright
 
 
 def cylinder(rings=28, around=12, radius=12.0, height=100.0):

@@ -8,8 +8,8 @@ from softmap_edge.diagnosis.diagnose import diagnose
 from softmap_edge.diagnosis.fit import Problem, Record, newton_step
 from softmap_edge.diagnosis.prepare import problem_of
 from softmap_edge.errors import SoftmapError
-from softmap_edge.folds import FOLDS, run_folds
-from softmap_edge.protocol import standard_protocol
+from softmap_edge.run.folds import FOLDS, run_folds
+from softmap_edge.run.protocol import standard_protocol
 
 NAMES = [e["name"] for e in LIBRARY.effects()]
 

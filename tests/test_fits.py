@@ -9,8 +9,8 @@ from softmap_edge.diagnosis import fits as fits_module
 from softmap_edge.diagnosis.fits import INSTANTS, Fits, starts
 from softmap_edge.diagnosis.prepare import problem_of
 from softmap_edge.diagnosis.record import Record
-from softmap_edge.protocol import standard_protocol
-from softmap_edge.run import Run
+from softmap_edge.run.protocol import standard_protocol
+from softmap_edge.run.run import Run
 
 NAMES = [e["name"] for e in LIBRARY.effects()]
 HIDDEN = {"backlash.gap": 2.0, "creep.strength": 0.12, "payload.mass": 40.0, "latency.delay": 0.25,

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from softmap_edge import Run
-from softmap_edge.home_command import rest_command
 from softmap_edge.logs.guess import guess_mapping
-from softmap_edge.run import HOME_TICKS
+from softmap_edge.run.rest_command import rest_command
+from softmap_edge.run.run import HOME_TICKS
 from softmap_edge.run_summary import sentences, summary
 
 T = np.arange(1500) / 25

@@ -36,8 +36,8 @@ def test_every_public_name_is_there_and_named_once():
 
 def test_public_names_are_loaded_late_and_unknown_ones_are_told():
     code = (
-        "import sys, softmap_edge; assert 'softmap_edge.run' not in sys.modules; "
-        "from softmap_edge import Run; assert Run is sys.modules['softmap_edge.run'].Run; "
+        "import sys, softmap_edge; assert 'softmap_edge.run.run' not in sys.modules; "
+        "from softmap_edge import Run; assert Run is sys.modules['softmap_edge.run.run'].Run; "
         "assert 'softmap_edge.diagnosis.diagnose' not in sys.modules"
     )
     subprocess.run([sys.executable, "-c", code], check=True)

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from logs import ONE_LOG, fault, imported, made_log
 
-from softmap_edge import toml_table
 from softmap_edge.cli import main
 from softmap_edge.errors import RunError
+from softmap_edge.files import toml as toml_table
 from softmap_edge.logs import mapping
 from softmap_edge.logs.importer import import_logs, read_mapping
-from softmap_edge.run import Run
+from softmap_edge.run.run import Run
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGE = (ROOT / "docs" / "mapping.md").read_text(encoding="utf-8")

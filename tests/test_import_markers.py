@@ -131,7 +131,7 @@ def test_markers_on_the_clamp_stand_beside_the_others(tmp_path):
 
 def test_labels_of_the_protocol_become_blocks_and_folds(tmp_path):
     """A label for each part, in whatever order: folds hold out whole labels (`folds.py`)."""
-    from softmap_edge.folds import folds
+    from softmap_edge.run.folds import folds
 
     t, points = chain()
     part = [f"pattern {k // 20}" for k in range(400)]

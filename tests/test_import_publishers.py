@@ -5,10 +5,10 @@ import pytest
 from recordings import JOINT_STATE, TRANSFORMS, joint_state, transforms, write_mcap
 
 from softmap_edge.errors import RunError
+from softmap_edge.files.time_digits import differing
 from softmap_edge.logs.guess import guess_mapping
 from softmap_edge.logs.importer import import_logs, read_mapping
-from softmap_edge.run import Run
-from softmap_edge.time_digits import differing
+from softmap_edge.run.run import Run
 
 START = 1_700_000_000.0
 ARM, GRIPPER = ("left", "right"), ("gripper_l", "gripper_r")

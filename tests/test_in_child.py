@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from softmap_edge.errors import FingerError, SoftmapError
-from softmap_edge.in_child import ChildFault, in_child
+from softmap_edge.files.child import ChildFault, in_child
 
 
 def test_plain_values_come_back_as_they_are():

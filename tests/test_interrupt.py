@@ -11,7 +11,7 @@ from command import SOFTMAP, interruptible
 
 from softmap_edge import Run, builtin_model
 from softmap_edge.own_effect import template
-from softmap_edge.protocol import standard_protocol
+from softmap_edge.run.protocol import standard_protocol
 
 STOPPED = 2.0  # s after the signal, on a busy machine; the work itself takes minutes
 STARTED = 1.5  # s of solving before the signal: within the first column of the sweep

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from bending import at, record, shaken, shape, tour, visits, wander
 
-from softmap_edge.diagnosis.conditions import conditions
-from softmap_edge.diagnosis.jitter import commanded_modes, frame_jitter, rigid, white_variance
-from softmap_edge.diagnosis.noise import command_kernel, measure_noise, whitener
-from softmap_edge.diagnosis.repeats import dwell_scatter, settled_dwells
+from softmap_edge.noise.jitter import commanded_modes, frame_jitter, rigid, white_variance
+from softmap_edge.noise.noise_model import command_kernel, measure_noise, whitener
+from softmap_edge.noise.repeats import dwell_scatter, settled_dwells
+from softmap_edge.run.conditions import conditions
 
 WHITE = 0.1  # mm a coordinate
 

@@ -8,8 +8,8 @@ import pytest
 
 from softmap_edge import Run, join_runs
 from softmap_edge.cli import main
-from softmap_edge.run_cut import cut
-from softmap_edge.run_join_doubts import join_doubts
+from softmap_edge.run.cut import cut
+from softmap_edge.run.join_doubts import join_doubts
 
 
 def run_of(first, count, seed=0, points=3, rate=50, **change):

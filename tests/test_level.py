@@ -5,9 +5,9 @@ import pytest
 
 from softmap_edge import _core
 from softmap_edge.diagnosis.families import RIDGES, best_ridge
-from softmap_edge.diagnosis.noise import Kernel, Whitener, command_kernel
 from softmap_edge.errors import CoreError
-from softmap_edge.folds import run_folds
+from softmap_edge.noise.noise_model import Kernel, Whitener, command_kernel
+from softmap_edge.run.folds import run_folds
 
 FORM = np.array([30.0, 4.0, 0.5, 0.0])  # model-error variance of four modes, one without any
 JITTER = 1e-9  # share of the mean diagonal, as in rust/families/level.rs

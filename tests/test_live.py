@@ -19,7 +19,7 @@ from softmap_edge.cli import main
 from softmap_edge.diagnosis.comparison import aligned
 from softmap_edge.diagnosis.live import KEPT, Live
 from softmap_edge.errors import ComparisonError, RunError
-from softmap_edge.run import Run
+from softmap_edge.run.run import Run
 from softmap_edge.servo.controller import Controller
 from softmap_edge.servo.follow import Following
 from softmap_edge.servo.limits import loop_limits, servo_limits

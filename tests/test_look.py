@@ -11,8 +11,8 @@ import pytest
 from softmap_edge import _core
 from softmap_edge.bundle import builtin_model, save_bundle
 from softmap_edge.cli import main
-from softmap_edge.npz import read_npz
-from softmap_edge.run import Run
+from softmap_edge.files.npz import read_npz
+from softmap_edge.run.run import Run
 
 
 def test_predict_takes_one_command_through_the_effects_of_the_bundle(tmp_path, capsys):

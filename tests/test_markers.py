@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from softmap_edge import Run, builtin_model, compare, diagnose
-from softmap_edge.alignment.rigid import kabsch
 from softmap_edge.errors import RunError, SoftmapError
-from softmap_edge.features import attach
-from softmap_edge.protocol import standard_protocol
+from softmap_edge.geometry.rigid import kabsch
+from softmap_edge.geometry.sections import attach
+from softmap_edge.run.protocol import standard_protocol
 
 HEIGHTS, ANGLES = (12, 40, 75, 105), (0.3, 1.9, 4.0)
 

@@ -20,9 +20,9 @@ from recordings import JOINT_STATE, joint_state, robot_messages, write_mcap
 
 from softmap_edge.cli import main
 from softmap_edge.errors import RecordingWarning, RunError
+from softmap_edge.files.mcap_records import CHUNK, MAGIC, MESSAGE, MESSAGE_INDEX, Walk, read_closing
 from softmap_edge.logs.importer import import_logs, read_mapping
 from softmap_edge.logs.readers.mcap_file import open_mcap, topics
-from softmap_edge.mcap_records import CHUNK, MAGIC, MESSAGE, MESSAGE_INDEX, Walk, read_closing
 
 
 def bag(folder, compression="zstd", frames=600, name="run.mcap"):

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from bending import at, record, shape
 
-from softmap_edge.diagnosis.conditions import conditions
-from softmap_edge.diagnosis.memoryless import repeats_of
+from softmap_edge.noise.memoryless import repeats_of
+from softmap_edge.run.conditions import conditions
 
 
 def sines(play, noise, seed=0, channels=2, gravity=None):

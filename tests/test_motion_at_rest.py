@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from bending import at, record, shape, tour, visits, wander
 
-from softmap_edge.diagnosis.conditions import conditions
-from softmap_edge.diagnosis.jitter import commanded_modes
-from softmap_edge.diagnosis.motion_at_rest import motion_at_rest
-from softmap_edge.diagnosis.noise import measure_noise
-from softmap_edge.diagnosis.repeats import settled_dwells
+from softmap_edge.noise.jitter import commanded_modes
+from softmap_edge.noise.motion_at_rest import motion_at_rest
+from softmap_edge.noise.noise_model import measure_noise
+from softmap_edge.noise.repeats import settled_dwells
+from softmap_edge.run.conditions import conditions
 
 
 def run(seed, acting, white=0.1):

@@ -17,7 +17,7 @@ from damage import Format, assert_10000, assert_some, run_all, spoil_bundle, spo
 
 # --- sound samples -------------------------------------------------------------------------
 def run_sample(folder):
-    from softmap_edge.run import Run
+    from softmap_edge.run.run import Run
 
     t = np.arange(12) * 0.5
     Run(
@@ -40,7 +40,7 @@ def run_sample(folder):
 
 
 def clouds_sample(folder):
-    from softmap_edge.run import Run
+    from softmap_edge.run.run import Run
 
     start = np.array([0, 4, 4, 9])
     clouds = Run(t=[0.0, 3.0], ticks=[[1], [2]], t_seen=[0.0, 1, 2], points=np.arange(27.0).reshape(9, 3), start=start)
@@ -103,7 +103,7 @@ def diagnosis_sample(folder):
 def commands_sample(folder):
     from softmap_edge.experiment.blocks import BLOCKS
     from softmap_edge.experiment.command_file import write_commands
-    from softmap_edge.protocol import Limits
+    from softmap_edge.run.protocol import Limits
 
     made = BLOCKS["a known 10 g"].plan(Limits.even(2))
     write_commands(folder / "c.csv", made, "sample")
@@ -191,7 +191,7 @@ def elastic_sample(folder):
     from softmap_edge.bundle import save_bundle
     from softmap_edge.rod.learn import learn_model
     from softmap_edge.rod.robot import Robot
-    from softmap_edge.run import Run
+    from softmap_edge.run.run import Run
 
     robot = Robot.load(robot_sample(folder)).with_slack(1.0)
     (folder / "robot.toml").unlink()
@@ -205,7 +205,7 @@ def elastic_sample(folder):
 
 # --- use: load, and what everybody does next -----------------------------------------------
 def use_run(path):
-    from softmap_edge.run import Run
+    from softmap_edge.run.run import Run
     from softmap_edge.run_summary import sentences, summary
 
     run = Run.load(path)
@@ -297,7 +297,7 @@ def use_shapes(path):
 
 def use_bundle(path):
     from softmap_edge.bundle import load_bundle
-    from softmap_edge.run import Run
+    from softmap_edge.run.run import Run
 
     model = load_bundle(path)
     model.prior.evaluate(np.zeros((2, model.channels)))

@@ -20,7 +20,7 @@ from softmap_edge.errors import SoftmapError
 from softmap_edge.experiment.blocks import BLOCKS, chosen, plan
 from softmap_edge.experiment.choose import SETTLED, program
 from softmap_edge.experiment.command_file import read_commands
-from softmap_edge.protocol import Limits, Protocol
+from softmap_edge.run.protocol import Limits, Protocol
 
 MODEL = builtin_model()
 LIMITS = Limits.of(MODEL.command_range)

@@ -8,9 +8,12 @@ import pytest
 from softmap_edge import Run, builtin_model
 from softmap_edge.diagnosis.advice import DWELL_FRAMES
 from softmap_edge.diagnosis.comparison import compare
-from softmap_edge.diagnosis.floor import noise_of_points
-from softmap_edge.diagnosis.memoryless import Repeats
-from softmap_edge.diagnosis.noise import (
+from softmap_edge.diagnosis.prepare import candidates_of, problem_of
+from softmap_edge.diagnosis.record import Record
+from softmap_edge.errors import SoftmapError
+from softmap_edge.noise.floor import noise_of_points
+from softmap_edge.noise.memoryless import Repeats
+from softmap_edge.noise.noise_model import (
     Noise,
     Whitener,
     command_kernel,
@@ -19,10 +22,7 @@ from softmap_edge.diagnosis.noise import (
     rod_noise,
     whitener,
 )
-from softmap_edge.diagnosis.prepare import candidates_of, problem_of
-from softmap_edge.diagnosis.record import Record
-from softmap_edge.errors import SoftmapError
-from softmap_edge.protocol import standard_protocol
+from softmap_edge.run.protocol import standard_protocol
 from softmap_edge.run_summary import summary
 from softmap_edge.truth import Camera, Truth
 

@@ -16,7 +16,7 @@ from softmap_edge.logs.guess import guess_mapping
 from softmap_edge.logs.importer import import_logs, read_mapping
 from softmap_edge.logs.not_seen import not_seen
 from softmap_edge.rod.learn import learn, learned_model
-from softmap_edge.run import Run
+from softmap_edge.run.run import Run
 from softmap_edge.run_summary import summary
 
 CASES = ROOT / "tests" / "data" / "values"

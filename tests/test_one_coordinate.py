@@ -8,7 +8,7 @@ from softmap_edge.diagnosis.lost import lost_points
 from softmap_edge.logs.importer import import_logs, read_mapping
 from softmap_edge.logs.not_seen import not_seen
 from softmap_edge.logs.one_coordinate import lost_coordinates
-from softmap_edge.run import Run
+from softmap_edge.run.run import Run
 
 AWAY = np.array([20.0, -30.0, 500.0])  # of a camera, mm
 MAP = """schema = "softmap.mapping/1"

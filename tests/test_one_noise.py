@@ -10,8 +10,8 @@ from test_learned_memory import arc
 
 from softmap_edge import Run, builtin_model, learn_model, save_bundle
 from softmap_edge.cli import main
-from softmap_edge.diagnosis.floor import noise_of_points
-from softmap_edge.report.numbers import mm
+from softmap_edge.files.numbers import mm
+from softmap_edge.noise.floor import noise_of_points
 
 
 def held(seed=0, noise=0.2, unit="mm", encoders=0.0, dwell=30):

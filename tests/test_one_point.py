@@ -5,7 +5,7 @@ import pytest
 
 from softmap_edge.bundle import load_bundle
 from softmap_edge.cli import main
-from softmap_edge.run import Run
+from softmap_edge.run.run import Run
 
 U = np.linspace(-4.0, 4.0, 9)[:, None]
 TIP = np.stack([3.0 * U[:, 0], 0.0 * U[:, 0], 50.0 - 0.1 * U[:, 0] ** 2], axis=1)  # (9, 3)

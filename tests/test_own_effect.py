@@ -238,7 +238,7 @@ def test_a_law_that_fails_says_where(tmp_path, law, says):
 @pytest.fixture(scope="module")
 def off_centre_run():
     """A run of the built-in finger behind the example's law, with noise."""
-    from softmap_edge.protocol import standard_protocol
+    from softmap_edge.run.protocol import standard_protocol
 
     protocol, model = standard_protocol(), builtin_model()
     bent = protocol.command + 0.8 * np.sin(protocol.command / 5.0)

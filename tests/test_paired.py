@@ -14,7 +14,7 @@ from softmap_edge.diagnosis.findings import Alternative
 from softmap_edge.diagnosis.record import Record
 from softmap_edge.diagnosis.records import Records
 from softmap_edge.errors import SoftmapError
-from softmap_edge.protocol import standard_protocol
+from softmap_edge.run.protocol import standard_protocol
 from softmap_edge.truth import Secret, Truth
 from softmap_edge.truth_laws import LAWS, TipWeight
 

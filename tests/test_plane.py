@@ -11,9 +11,9 @@ from softmap_edge.diagnosis.diagnose import diagnose
 from softmap_edge.errors import AlignError, RunError
 from softmap_edge.logs.guess import guess_mapping
 from softmap_edge.logs.importer import import_logs, read_mapping
-from softmap_edge.plane import flat, unmeasured
 from softmap_edge.rod.learn import learn, learned_model
-from softmap_edge.run import Run
+from softmap_edge.run.plane import flat, unmeasured
+from softmap_edge.run.run import Run
 from softmap_edge.run_summary import summary
 
 CASE = ROOT / "tests" / "data" / "values" / "plane.csv"

@@ -7,7 +7,7 @@ import sys
 import pytest
 
 from softmap_edge.cli import main
-from softmap_edge.printable import PrintableStream, one_line, printable, raw
+from softmap_edge.files.printable import PrintableStream, one_line, printable, raw
 from softmap_edge.report.style import escaped
 
 HOSTILE = {

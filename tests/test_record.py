@@ -15,8 +15,8 @@ from softmap_edge.cli import main
 from softmap_edge.experiment.blocks import BLOCKS as MOVES
 from softmap_edge.experiment.blocks import chosen, plan
 from softmap_edge.experiment.command_file import read_commands
-from softmap_edge.protocol import standard_protocol
 from softmap_edge.protocol_virtual import virtual_protocol
+from softmap_edge.run.protocol import standard_protocol
 from softmap_edge.servo_ticks import PUBLISHED
 
 WEIGHT = {"payload.mass": 9.0}

@@ -21,7 +21,7 @@ from softmap_edge.errors import RunError
 from softmap_edge.experiment.blocks import chosen, plan
 from softmap_edge.experiment.command_file import write_commands
 from softmap_edge.experiment.kept import Keeper, Kept, read_kept
-from softmap_edge.protocol import Limits
+from softmap_edge.run.protocol import Limits
 
 MOST = 200_000  # bytes of a file
 
@@ -188,7 +188,7 @@ def test_an_error_in_making_the_run_keeps_both_files(folder, monkeypatch, capsys
         raise OSError(28, "No space left on device")
 
     with monkeypatch.context() as patch:
-        patch.setattr("softmap_edge.run.Run.save", fails)
+        patch.setattr("softmap_edge.run.run.Run.save", fails)
         assert main(["record", "c.csv", "--emulated", "--out", "run.npz"]) == 2
     said = capsys.readouterr().err
     assert "run.npz: no space left on device; see to the disk" in said

@@ -26,7 +26,7 @@ from softmap_edge.experiment.command_file import write_commands
 from softmap_edge.experiment.kept import SEEN
 from softmap_edge.experiment.pace import ANSWER, BEHIND, SHARE, SPAN, STILL, pace, servos_still, view_still
 from softmap_edge.experiment.play import Player, merged
-from softmap_edge.protocol import Limits, Protocol
+from softmap_edge.run.protocol import Limits, Protocol
 from softmap_edge.servo.controller import Controller
 from softmap_edge.servo.limits import servo_limits
 from softmap_edge.servo.recording import read_recording

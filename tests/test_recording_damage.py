@@ -17,8 +17,8 @@ from softmap_edge.cli import main
 from softmap_edge.errors import RecordingBroken, RecordingWarning, RunError, ServoError
 from softmap_edge.experiment.kept import seen_file
 from softmap_edge.experiment.recorded import open_run, run_of
-from softmap_edge.mcap_records import read_closing
-from softmap_edge.run import Run
+from softmap_edge.files.mcap_records import read_closing
+from softmap_edge.run.run import Run
 from softmap_edge.servo.controller import Controller
 from softmap_edge.servo.recording import read_recording
 from softmap_edge.servo.recording_end import broken_recording, system_words

@@ -7,7 +7,7 @@ import pytest
 
 from softmap_edge.cli import main
 from softmap_edge.errors import SoftmapError
-from softmap_edge.run import Run
+from softmap_edge.run.run import Run
 from softmap_edge.solid.finger import Finger
 from softmap_edge.solid.fit import fit_finger, moved
 from softmap_edge.solid.simulator import Simulator, tour

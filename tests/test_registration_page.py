@@ -16,9 +16,9 @@ from softmap_edge import Run, builtin_model, load_bundle
 from softmap_edge.alignment.calibration import _calibrated, calibrate
 from softmap_edge.alignment.clouds import align_clouds
 from softmap_edge.alignment.result import in_frame
-from softmap_edge.alignment.rigid import Pose, rotation, rotation_vector
 from softmap_edge.cli import main
 from softmap_edge.errors import RegistrationError
+from softmap_edge.geometry.rigid import Pose, rotation, rotation_vector
 from softmap_edge.registration.register import register
 from softmap_edge.servo_ticks import PUBLISHED
 from softmap_edge.solid import finger

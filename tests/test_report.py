@@ -10,9 +10,9 @@ from softmap_edge.diagnosis.comparison import compare
 from softmap_edge.diagnosis.findings import Displacement, ErrorLadder, FamilyFinding, Finding, Rung, Unexplained
 from softmap_edge.diagnosis.wording import OwnMisfit, sentence_of, verdict_of
 from softmap_edge.errors import ReportError
+from softmap_edge.files.numbers import bar, fall, tamed
 from softmap_edge.report.comparison_text import pair_text
 from softmap_edge.report.html import write_html
-from softmap_edge.report.numbers import bar, fall, tamed
 from softmap_edge.report.text import VERDICTS, diagnosis_text, parameter
 
 DIAGNOSIS = {

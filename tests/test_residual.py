@@ -18,8 +18,8 @@ from softmap_edge import _core, builtin_model, compare, diagnose, learn_residual
 from softmap_edge.cli import main
 from softmap_edge.errors import BundleError, SoftmapError
 from softmap_edge.experiment.blocks import chosen, plan
-from softmap_edge.protocol import Limits
 from softmap_edge.rod.robot import Robot
+from softmap_edge.run.protocol import Limits
 from softmap_edge.truth import Secret, Truth
 
 MODEL = builtin_model()

@@ -12,11 +12,11 @@ from softmap_edge.bundle import load_bundle, save_bundle
 from softmap_edge.cli import main
 from softmap_edge.diagnosis.diagnose import diagnose
 from softmap_edge.errors import RunError, SoftmapError
-from softmap_edge.folds import folds
 from softmap_edge.rod.learn import LearnedRod, learn, learn_model
 from softmap_edge.rod.polynomial import RodParameters
 from softmap_edge.rod.regression import Basis, Drive, Record, Regression, rms
-from softmap_edge.run import Run
+from softmap_edge.run.folds import folds
+from softmap_edge.run.run import Run
 
 ROOT = Path(__file__).parent.parent
 DELAY, LAG = 0.12, 0.1  # s

@@ -13,9 +13,9 @@ from test_runs import sound
 from softmap_edge import Run, builtin_model, join_runs
 from softmap_edge.cli import main
 from softmap_edge.errors import RunError
-from softmap_edge.run_contents import contents, lines
-from softmap_edge.run_cut import cut
-from softmap_edge.run_pieces import pieces
+from softmap_edge.run.contents import contents, lines
+from softmap_edge.run.cut import cut
+from softmap_edge.run.pieces import pieces
 
 
 def recording(seed=0, **change):

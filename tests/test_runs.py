@@ -10,7 +10,7 @@ import pytest
 
 from softmap_edge.cli import main
 from softmap_edge.errors import RunError
-from softmap_edge.run import Run
+from softmap_edge.run.run import Run
 
 T, C, K, N = 60, 2, 12, 5
 

@@ -13,7 +13,7 @@ from softmap_edge.elsewhere.build import model_from_file
 from softmap_edge.errors import BundleError
 from softmap_edge.manifest import load_manifest
 from softmap_edge.rod.learn import learn_model
-from softmap_edge.run import Run
+from softmap_edge.run.run import Run
 from softmap_edge.safety import MARGIN, derived
 from softmap_edge.solid.finger import Finger
 from softmap_edge.solid.simulator import Simulator

@@ -11,7 +11,7 @@ from softmap_edge.cli import main
 from softmap_edge.coverage import apart
 from softmap_edge.diagnosis.advice import advice
 from softmap_edge.outside import beyond
-from softmap_edge.plane import plane_of
+from softmap_edge.run.plane import plane_of
 
 
 def run_of(u, t, noise=0.1, **more):

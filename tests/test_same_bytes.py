@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from softmap_edge import builtin_model, save_bundle
-from softmap_edge.protocol import standard_protocol
-from softmap_edge.run import Run
+from softmap_edge.run.protocol import standard_protocol
+from softmap_edge.run.run import Run
 
 # Folder by folder: how many threads the core has, and in which order Python keeps what it hashes.
 PLACES = {"here": ("1", "1"), "a longer way/there": ("2", "77")}

@@ -20,7 +20,7 @@ from softmap_edge.commands import servo_emulate
 from softmap_edge.commands.robot import HOME
 from softmap_edge.commissioning import setup
 from softmap_edge.errors import ServoError
-from softmap_edge.run import Run
+from softmap_edge.run.run import Run
 from softmap_edge.servo.bus import opened, ports
 from softmap_edge.servo.controller import Controller
 from softmap_edge.servo.recording import read_recording

@@ -7,7 +7,7 @@ from recordings import POSES, write_mcap
 from softmap_edge.diagnosis.lost import lost_points
 from softmap_edge.logs.importer import import_logs, read_mapping
 from softmap_edge.logs.shifted import find_shifted
-from softmap_edge.run import Run
+from softmap_edge.run.run import Run
 
 K = 300
 T = np.arange(K) * 0.02

@@ -21,7 +21,7 @@ from softmap_edge.emulated.finger import emulated_bench
 from softmap_edge.errors import ServoError
 from softmap_edge.experiment.command_file import write_commands
 from softmap_edge.motion.kinematics import Kinematics
-from softmap_edge.protocol import Protocol
+from softmap_edge.run.protocol import Protocol
 from softmap_edge.servo import clock
 from softmap_edge.servo.clock import BUSY
 from softmap_edge.servo.controller import Controller

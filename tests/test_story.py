@@ -13,7 +13,7 @@ from softmap_edge.cli import main
 from softmap_edge.experiment.blocks import chosen, plan
 from softmap_edge.experiment.choose import SETTLED
 from softmap_edge.experiment.command_file import read_commands
-from softmap_edge.protocol import Limits
+from softmap_edge.run.protocol import Limits
 from softmap_edge.truth import Secret, Truth
 from softmap_edge.truth_laws import TipWeight, TrueWeight
 

@@ -18,8 +18,8 @@ from softmap_edge.diagnosis.taught import Taught, with_unknown
 from softmap_edge.errors import ReportError
 from softmap_edge.report.families import learned_section
 from softmap_edge.rod.learn import learn, learned_model
-from softmap_edge.run_cut import cut
-from softmap_edge.run_join import join_runs
+from softmap_edge.run.cut import cut
+from softmap_edge.run.join import join_runs
 
 GAP = 1.4
 

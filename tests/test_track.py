@@ -28,7 +28,7 @@ from softmap_edge.emulated.finger import ANSWER, emulated_bench, hidden_laws
 from softmap_edge.motion.kinematics import Kinematics
 from softmap_edge.motion.response import fit_response, response_of
 from softmap_edge.motion.track import _Feedback, course, track
-from softmap_edge.protocol import standard_protocol
+from softmap_edge.run.protocol import standard_protocol
 from softmap_edge.servo.controller import Controller
 from softmap_edge.servo.limits import ACCELERATION, SLEW
 from softmap_edge.servo.recording import read_recording

@@ -8,7 +8,7 @@ import pytest
 
 from softmap_edge import truth_laws
 from softmap_edge.errors import SoftmapError
-from softmap_edge.protocol import FAST, REACH, other_protocol, standard_protocol
+from softmap_edge.run.protocol import FAST, REACH, other_protocol, standard_protocol
 from softmap_edge.truth_laws import LAWS, rotation
 
 T = np.arange(0, 2000) / 50.0  # s

@@ -22,7 +22,7 @@ from softmap_edge.diagnosis.outcome import Outcome, Step
 from softmap_edge.diagnosis.prepare import problem_of
 from softmap_edge.diagnosis.record import Record
 from softmap_edge.diagnosis.spools import Spool
-from softmap_edge.protocol import standard_protocol
+from softmap_edge.run.protocol import standard_protocol
 
 MODEL = builtin_model()
 MEMORY = {"backlash", "hysteresis", "friction"}

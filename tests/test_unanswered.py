@@ -6,7 +6,7 @@ from test_not_seen import BUT_ALSO, GOOD, SINES, STAIRS, K, T, body
 
 from softmap_edge.cli import main
 from softmap_edge.diagnosis.unanswered import unanswered
-from softmap_edge.run import Run
+from softmap_edge.run.run import Run
 
 
 def run(points, u, **more):

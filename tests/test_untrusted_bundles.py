@@ -26,7 +26,7 @@ import softmap_edge.network as network  # noqa: E402
 from softmap_edge import _core, builtin_model, load_bundle, save_bundle  # noqa: E402
 from softmap_edge.cli import main  # noqa: E402
 from softmap_edge.errors import BundleError, SoftmapError  # noqa: E402
-from softmap_edge.npz import MOST_ARRAYS, read_npz, write_npz  # noqa: E402
+from softmap_edge.files.npz import MOST_ARRAYS, read_npz, write_npz  # noqa: E402
 from softmap_edge.registration.clouds import read_clouds  # noqa: E402
 
 GIVEN = Path(__file__).parent / "data" / "untrusted"

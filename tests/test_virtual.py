@@ -13,10 +13,10 @@ from softmap_edge.cli import main
 from softmap_edge.commands.experiment import _ahead
 from softmap_edge.errors import SoftmapError
 from softmap_edge.experiment.command_file import read_commands, write_commands
-from softmap_edge.npz import read_npz
-from softmap_edge.protocol import Limits
+from softmap_edge.files.npz import read_npz
 from softmap_edge.protocol_virtual import KINDS, virtual_protocol
-from softmap_edge.run import Run
+from softmap_edge.run.protocol import Limits
+from softmap_edge.run.run import Run
 from softmap_edge.servo_ticks import PUBLISHED
 from softmap_edge.solid.bodies import Block, Tapered
 from softmap_edge.solid.cut import Cut

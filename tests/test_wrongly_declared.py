@@ -10,7 +10,7 @@ from test_diagnosis import finger_run
 
 from softmap_edge import builtin_model, diagnose
 from softmap_edge.cli import main
-from softmap_edge.protocol import standard_protocol
+from softmap_edge.run.protocol import standard_protocol
 from softmap_edge.truth import hide
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 
 from softmap_edge import _core, builtin_model
-from softmap_edge.run import Run
+from softmap_edge.run.run import Run
 
 MODEL = builtin_model()
 A = np.array([[0.003106, -0.001274], [-0.001511, -0.002801]])  # mm/tick, as published

@@ -24,7 +24,7 @@ from benches.bank.laws_drive import DRIVE
 from benches.bank.laws_unknown import UNKNOWN
 from benches.bank.rod import Loads
 from softmap_edge.bundle import builtin_model
-from softmap_edge.protocol import HANGING, LEANING
+from softmap_edge.run.protocol import HANGING, LEANING
 from softmap_edge.solid.finger import Finger, Region
 from softmap_edge.solid.simulator import Simulator, tour
 

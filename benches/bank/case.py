@@ -26,8 +26,8 @@ from benches.bank.laws_body import BODY
 from benches.bank.laws_drive import DRIVE
 from benches.bank.laws_unknown import UNKNOWN
 from benches.bank.watch import LEVELS, Level, background, looked, names, rms, sections
-from softmap_edge.protocol import HANGING, Protocol, other_protocol, standard_protocol
-from softmap_edge.run import Run
+from softmap_edge.run.protocol import HANGING, Protocol, other_protocol, standard_protocol
+from softmap_edge.run.run import Run
 
 SEEDS = {"development": 20_000, "reporting": 70_000}
 KINDS = ("null", "single", "pair", "unknown", "removed", "untestable", "rivals")

@@ -37,8 +37,8 @@ from benches.bank.rotations import turn
 from benches.bank.section import finger
 from benches.bank.shop import BACKGROUND_MM, imperfections, unknown_family
 from benches.bank.watch import Level, rms, sections
-from softmap_edge.protocol import HANGING, RATE, Protocol, standard_protocol
-from softmap_edge.run import Run
+from softmap_edge.run.protocol import HANGING, RATE, Protocol, standard_protocol
+from softmap_edge.run.run import Run
 
 BALLS_MM = (22.0, 44.0, 66.0, 88.0, 108.0)
 SEEN_HZ = 7.0

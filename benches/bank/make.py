@@ -17,7 +17,7 @@ from benches.bank.learned import learned_case, uncubed_mm
 from benches.bank.odd import odd_case
 from benches.bank.shop import shop_case
 from benches.bank.store import Kept, Task, keep
-from softmap_edge.run import Run
+from softmap_edge.run.run import Run
 
 SCORED = 2.0  # times its background by which a single must move the finger to be scored
 

@@ -104,7 +104,7 @@ def _whole(stretch: Floats, names: Sequence[str]) -> Floats:
 
 def _leaning_error(made: Model) -> float:
     """Return by how much (mm for each g of change) the model's error grows in a finger that leans by 34°."""
-    from softmap_edge.run import Run
+    from softmap_edge.run.run import Run
 
     u = np.random.default_rng(0).uniform(-12.0, 12.0, (40, 2))
     t, off = np.arange(40.0), []

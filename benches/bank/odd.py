@@ -39,7 +39,7 @@ from benches.bank.laws_odd import (
 from benches.bank.laws_static import CrossTerm, SmoothMap, bent
 from benches.bank.shop import unknown_family
 from benches.bank.watch import LEVELS, Level, background, rms, sections
-from softmap_edge.protocol import standard_protocol
+from softmap_edge.run.protocol import standard_protocol
 
 Room = Callable[[Floats], Floats]
 

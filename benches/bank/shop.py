@@ -23,7 +23,7 @@ from benches.bank.laws_shop import SHOP
 from benches.bank.laws_static import CrossTerm, SmoothMap
 from benches.bank.laws_unknown import UNKNOWN
 from benches.bank.watch import LEVELS, Level, rms, sections
-from softmap_edge.protocol import standard_protocol
+from softmap_edge.run.protocol import standard_protocol
 
 BACKGROUND_MM = (0.2, 0.4)
 TIMES = (2.2, 6.0)  # as far as its imperfections

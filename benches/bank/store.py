@@ -21,7 +21,7 @@ from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
 
-from softmap_edge.run import Run
+from softmap_edge.run.run import Run
 
 Task = tuple[str, str, str, str, int]  # seeds, slice, level, kind, number
 JUDGING = ("__main__.py", "left_out.py", "judge.py", "judge_family.py", "judge_learned.py", "work.py", "store.py")
@@ -86,7 +86,7 @@ def made_by() -> str:
 
     own, package = Path(__file__).parent, Path(softmap_edge.__file__).parent
     files = [path for path in sorted(own.glob("*.py")) if path.name not in JUDGING]
-    files += [package / "protocol.py", *sorted((package / "data").rglob("*.*"))]
+    files += [package / "run/protocol.py", *sorted((package / "data").rglob("*.*"))]
     digest = hashlib.sha256()
     for path in files:
         digest.update(path.read_bytes())

@@ -14,7 +14,7 @@ import numpy as np
 from benches.bank.store import JUDGING, Kept, Task, name_of
 
 if TYPE_CHECKING:
-    from softmap_edge.run import Run
+    from softmap_edge.run.run import Run
 
 Job = tuple[Task, str, str, str]  # a case, the folders of cases and of rows, the digest of the scoring code
 

@@ -2,7 +2,7 @@
 //!
 //! A column is X_j = base_j ∘ w_j: a base (K, M) over K frames and M modes, times one weight per frame (K,). The model error
 //! has the kernel Q diag(λ) Qᵀ over frames and the variance s_m in mode m. The whitened column is
-//! X + Q (diag(1/√(1 + λ s)) − 1) Qᵀ X (softmap_edge/diagnosis/noise.py). With QᵀQ = 1, the whitened Gram is
+//! X + Q (diag(1/√(1 + λ s)) − 1) Qᵀ X (softmap_edge/noise/noise_model.py). With QᵀQ = 1, the whitened Gram is
 //!
 //!     G_ab = Σ_k w_ak w_bk P_ab(k) − Σ_rm D_rm Y_a,rm Y_b,rm,   P_ab(k) = Σ_m base_a,km base_b,km,
 //!     Y = Qᵀ X,   D = λs/(1 + λs).

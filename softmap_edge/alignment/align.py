@@ -21,12 +21,12 @@ from numpy.typing import NDArray
 from softmap_edge.alignment.checks import check_places, check_whole
 from softmap_edge.alignment.groups import GROUP_FRAMES, Moved, base_motion, follow, group
 from softmap_edge.alignment.result import Alignment, base_markers
-from softmap_edge.alignment.rigid import Pose
 from softmap_edge.alignment.solve import solve
-from softmap_edge.diagnosis.conditions import conditions
 from softmap_edge.errors import AlignError
-from softmap_edge.plane import unmeasured
-from softmap_edge.run import Run, known
+from softmap_edge.geometry.rigid import Pose
+from softmap_edge.run.conditions import conditions
+from softmap_edge.run.plane import unmeasured
+from softmap_edge.run.run import Run, known
 
 if TYPE_CHECKING:
     from softmap_edge.model import Model

@@ -28,12 +28,12 @@ from softmap_edge.alignment.departures import Departure, departures
 from softmap_edge.alignment.held import Held, Seen, directions, gather, places, visits
 from softmap_edge.alignment.map_fit import Sights, fit_map, turned_shapes
 from softmap_edge.alignment.matching import Matches, linearised, match
-from softmap_edge.alignment.rigid import Pose
 from softmap_edge.errors import CalibrationError
+from softmap_edge.geometry.rigid import Pose
 from softmap_edge.leaning import gravity_seen, leans
 from softmap_edge.outside import elsewhere, unlike
 from softmap_edge.registration.register import register
-from softmap_edge.run import Run, known
+from softmap_edge.run.run import Run, known
 from softmap_edge.ticks import LARGEST, Calibration, held_in_ticks
 
 if TYPE_CHECKING:

@@ -8,9 +8,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from softmap_edge.alignment.rigid import Pose, robust
 from softmap_edge.errors import AlignError
-from softmap_edge.features import UNITS
+from softmap_edge.geometry.rigid import Pose, robust
+from softmap_edge.geometry.sections import UNITS
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]

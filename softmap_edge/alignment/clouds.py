@@ -20,14 +20,14 @@ from numpy.typing import NDArray
 from softmap_edge import _core
 from softmap_edge.alignment.checks import student
 from softmap_edge.alignment.result import Alignment
-from softmap_edge.alignment.rigid import Pose, jacobian, rotation, rotation_vector
 from softmap_edge.errors import AlignError
+from softmap_edge.geometry.rigid import Pose, jacobian, rotation, rotation_vector
 from softmap_edge.leaning import priors_in
 from softmap_edge.registration.clouds import clouds_of
 
 if TYPE_CHECKING:
     from softmap_edge.model import Model
-    from softmap_edge.run import Run
+    from softmap_edge.run.run import Run
 
 Floats = NDArray[np.float64]
 

@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from softmap_edge.alignment.rigid import Pose, gain, jacobian, kabsch, refined, rotation
-from softmap_edge.run import Run
+from softmap_edge.geometry.rigid import Pose, gain, jacobian, kabsch, refined, rotation
+from softmap_edge.run.run import Run
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.alignment.matching import Matches
-from softmap_edge.diagnosis.conditions import STILL, conditions
-from softmap_edge.run import Run
+from softmap_edge.run.conditions import STILL, conditions
+from softmap_edge.run.run import Run
 
 Floats = NDArray[np.float64]
 Index = NDArray[np.int64]

@@ -18,15 +18,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from softmap_edge.alignment.rigid import rotation
+from softmap_edge.geometry.rigid import rotation
 from softmap_edge.leaning import priors_in
-from softmap_edge.run import known
+from softmap_edge.run.run import known
 from softmap_edge.views import members, roll_seen, without_roll
 
 if TYPE_CHECKING:
     from softmap_edge.model import Model
     from softmap_edge.predictors import Shape
-    from softmap_edge.run import Run
+    from softmap_edge.run.run import Run
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]

@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.alignment.groups import Moved
-from softmap_edge.alignment.rigid import Pose, rotation_vector
 from softmap_edge.errors import AlignError
-from softmap_edge.run import BASE_MARKERS, Run
+from softmap_edge.geometry.rigid import Pose, rotation_vector
+from softmap_edge.run.run import BASE_MARKERS, Run
 
 Floats = NDArray[np.float64]
 

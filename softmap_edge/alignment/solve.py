@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 from softmap_edge.alignment.checks import check_mirror, check_scale, check_turns, student
 from softmap_edge.alignment.groups import Groups, Moved, find_motion, small_pose
 from softmap_edge.alignment.result import Alignment
-from softmap_edge.alignment.rigid import Pose, gain, kabsch, refined, robust
-from softmap_edge.diagnosis.noise import form_covariance
 from softmap_edge.errors import AlignError
+from softmap_edge.geometry.rigid import Pose, gain, kabsch, refined, robust
+from softmap_edge.noise.noise_model import form_covariance
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]

@@ -12,12 +12,12 @@ import numpy as np
 from softmap_edge.alignment.align import align_base, align_home, clamped_places
 from softmap_edge.alignment.clouds import align_clouds
 from softmap_edge.alignment.result import Alignment, base_markers, in_frame
-from softmap_edge.alignment.rigid import Pose
 from softmap_edge.commands.output import check_file, check_no_run
 from softmap_edge.commands.own import effects_argument, load_own, open_model
 from softmap_edge.errors import AlignError
 from softmap_edge.experiment.recorded import open_run
-from softmap_edge.run import Run
+from softmap_edge.geometry.rigid import Pose
+from softmap_edge.run.run import Run
 
 _HOW = (
     "give --base clamped, --base 0 1 2 (numbers whose places are in `marker_rest`), --base 0:X,Y,Z 1:X,Y,Z … or, of "

@@ -12,7 +12,7 @@ from softmap_edge.commands.output import bundle_arguments, check_bundle, check_f
 from softmap_edge.commands.own import effects_argument, load_own, open_model
 from softmap_edge.errors import CalibrationError, ReportError
 from softmap_edge.experiment.recorded import open_run
-from softmap_edge.whole_file import write_whole
+from softmap_edge.files.atomic import write_whole
 
 NOT_AFFINE = 1  # exit code
 

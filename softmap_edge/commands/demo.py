@@ -20,11 +20,11 @@ from softmap_edge.diagnosis.diagnose import diagnose
 from softmap_edge.diagnosis.document import Diagnosis
 from softmap_edge.diagnosis.series import series
 from softmap_edge.errors import ReportError, SoftmapError
+from softmap_edge.files.numbers import fall
 from softmap_edge.model import Model
-from softmap_edge.protocol import Protocol, other_protocol, standard_protocol
 from softmap_edge.report.html import write_html
-from softmap_edge.report.numbers import fall
-from softmap_edge.run import Run
+from softmap_edge.run.protocol import Protocol, other_protocol, standard_protocol
+from softmap_edge.run.run import Run
 from softmap_edge.truth import WATCH, Truth, check_hidden, hide, surprise
 
 SCHEMA = "softmap.demo/1"

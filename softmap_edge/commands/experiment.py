@@ -14,9 +14,9 @@ from softmap_edge.commands.progress import Bar
 from softmap_edge.commands.seeing import camera_arguments
 from softmap_edge.errors import RunError, SoftmapError
 from softmap_edge.experiment.recorded import open_run
-from softmap_edge.npz import write_npz
+from softmap_edge.files.atomic import read_document
+from softmap_edge.files.npz import write_npz
 from softmap_edge.own_effect import check_hashes
-from softmap_edge.whole_file import read_document
 
 BOTH = (
     "  play it twice ({:.1f} minutes in all): as the run was, and as the reference run was; then\n"
@@ -105,8 +105,8 @@ def next(args: argparse.Namespace) -> int:
 def _standard(args: argparse.Namespace, model: Any) -> tuple[Any, list[Any], list[str]]:
     """Return commands that are asked for without a diagnosis: the standard protocol, or blocks by name."""
     from softmap_edge.experiment.blocks import Setting, chosen, plan
-    from softmap_edge.protocol import standard_protocol
     from softmap_edge.protocol_virtual import virtual_protocol
+    from softmap_edge.run.protocol import standard_protocol
 
     for path in (*args.run, *args.reference):
         open_run(path, model)  # not needed here, but damage is reported
@@ -172,7 +172,7 @@ def _played(args: argparse.Namespace, model: Any) -> str:
 
 
 def _limits(args: argparse.Namespace, model: Any) -> Any:
-    from softmap_edge.protocol import Limits
+    from softmap_edge.run.protocol import Limits
 
     return Limits.of(model.command_range, model.command_unit, args.fastest)
 

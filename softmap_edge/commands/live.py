@@ -13,7 +13,7 @@ from softmap_edge.commands.own import load_own, open_model
 from softmap_edge.commands.seeing import late, receiver
 from softmap_edge.diagnosis.live import Live, Now
 from softmap_edge.errors import RunError, SoftmapError
-from softmap_edge.printable import printable, raw
+from softmap_edge.files.printable import printable, raw
 from softmap_edge.servo.follow import Following
 
 LOOK = 0.25  # s between two looks at the recording

@@ -19,9 +19,9 @@ from softmap_edge.commands.robot import bench_of, driving, emulated
 from softmap_edge.commissioning.jog import ARRIVED, EVERY, Jog, most_travel
 from softmap_edge.commissioning.pull import LEAST_SHORT, SHORT
 from softmap_edge.errors import ServoError, SoftmapError
+from softmap_edge.files.printable import raw
 from softmap_edge.hints import with_files
 from softmap_edge.motion.curves import WIDEST
-from softmap_edge.printable import raw
 from softmap_edge.servo import words
 from softmap_edge.servo.conditions import JOG_TRAVEL
 from softmap_edge.servo.controller import Controller

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from softmap_edge.bundle import check_folder
 from softmap_edge.errors import BundleError, SoftmapError
-from softmap_edge.npz import archive_names
+from softmap_edge.files.npz import archive_names
 
 
 def check_file(option: str, path: str | None, suffix: str = "", *, new: bool = False) -> None:

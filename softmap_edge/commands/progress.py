@@ -8,7 +8,7 @@ from collections.abc import Callable
 from types import TracebackType
 from typing import Self
 
-from softmap_edge.printable import printable, raw
+from softmap_edge.files.printable import printable, raw
 
 _WIDTH, _LEFT = 30, 14
 PACE = 3.0  # s of work that tell how long the rest takes

@@ -29,8 +29,8 @@ from softmap_edge.experiment.kept import SEEN, Keeper, read_kept
 from softmap_edge.experiment.pace import Pace, pace
 from softmap_edge.experiment.play import Player, merged
 from softmap_edge.model import Model
-from softmap_edge.protocol import Protocol
-from softmap_edge.run import Run
+from softmap_edge.run.protocol import Protocol
+from softmap_edge.run.run import Run
 from softmap_edge.servo.bench import Bench, read_bench
 from softmap_edge.servo.controller import Controller
 from softmap_edge.servo.emergency_key import EmergencyKey

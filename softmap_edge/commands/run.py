@@ -11,11 +11,11 @@ from softmap_edge.commands.output import check_file, check_no_run
 from softmap_edge.commands.parser import Action, add_actions
 from softmap_edge.errors import RunError
 from softmap_edge.experiment.recorded import open_run
-from softmap_edge.run import Run
-from softmap_edge.run_contents import contents, lines
-from softmap_edge.run_cut import cut
-from softmap_edge.run_join import GAP_S, join_runs
-from softmap_edge.run_join_doubts import join_doubts
+from softmap_edge.run.contents import contents, lines
+from softmap_edge.run.cut import cut
+from softmap_edge.run.join import GAP_S, join_runs
+from softmap_edge.run.join_doubts import join_doubts
+from softmap_edge.run.run import Run
 
 Piece = tuple[str, Run]
 

@@ -29,6 +29,7 @@ from softmap_edge.commands.track_table import table, workspace
 from softmap_edge.emulated.finger import LATE, SERVO
 from softmap_edge.errors import RecordingBroken, SoftmapError
 from softmap_edge.experiment.kept import Keeper, keeping, seen_file
+from softmap_edge.files.atomic import write_whole
 from softmap_edge.motion.curves import FIGURES
 from softmap_edge.motion.kinematics import METHODS, Kinematics
 from softmap_edge.motion.track import Course, Tracked, course, spread
@@ -36,7 +37,6 @@ from softmap_edge.motion.track import track as follow
 from softmap_edge.servo.bench import Bench
 from softmap_edge.servo.controller import Controller
 from softmap_edge.servo.limits import servo_limits
-from softmap_edge.whole_file import write_whole
 
 
 def track_arguments(parser: argparse.ArgumentParser) -> None:

@@ -15,8 +15,8 @@ from softmap_edge.commands.progress import Bar
 from softmap_edge.commands.seeing import camera_arguments
 from softmap_edge.errors import SoftmapError, no_name
 from softmap_edge.experiment.recorded import open_run
+from softmap_edge.files.atomic import write_whole
 from softmap_edge.own_effect import check_hashes
-from softmap_edge.whole_file import write_whole
 
 RESIDUAL = "residual"
 NUMBERS = {
@@ -237,7 +237,7 @@ def _refit_finger(args: argparse.Namespace) -> int:
 def warn_outside(verb: str, model: Any, run: Any) -> None:
     """Tell on stderr, beside any document, where a run leaves the commands or the frame of the model."""
     from softmap_edge.outside import beyond, elsewhere
-    from softmap_edge.plane import plane_of
+    from softmap_edge.run.plane import plane_of
 
     plane = plane_of(run)
     flat = [] if plane is None else [f"{plane}; no effect across it is tested"]

@@ -17,13 +17,13 @@ from numpy.typing import NDArray
 
 from softmap_edge.coverage import apart, said_apart
 from softmap_edge.diagnosis.collinear import collinear_conditions, tied_channels
-from softmap_edge.diagnosis.conditions import STILL, Conditions, conditions, last_direction, orientations
-from softmap_edge.diagnosis.floor import commanded, noise_of_points
-from softmap_edge.diagnosis.repeats import LONG_DWELL
-from softmap_edge.folds import GAP, LEAST_FRAMES, without_gap
-from softmap_edge.home_command import far_from_home, rest_command
-from softmap_edge.plane import AXES, plane_of, unmeasured
-from softmap_edge.run import HOME_TICKS, Run, known
+from softmap_edge.noise.floor import commanded, noise_of_points
+from softmap_edge.noise.repeats import LONG_DWELL
+from softmap_edge.run.conditions import STILL, Conditions, conditions, last_direction, orientations
+from softmap_edge.run.folds import GAP, LEAST_FRAMES, without_gap
+from softmap_edge.run.plane import AXES, plane_of, unmeasured
+from softmap_edge.run.rest_command import far_from_home, rest_command
+from softmap_edge.run.run import HOME_TICKS, Run, known
 
 Floats = NDArray[np.float64]
 

@@ -20,16 +20,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge import _core
-from softmap_edge.alignment.rigid import kabsch, rotation_vector
-from softmap_edge.diagnosis.conditions import conditions
 from softmap_edge.diagnosis.remembered import centred, remembered
 from softmap_edge.errors import RunError
+from softmap_edge.geometry.rigid import kabsch, rotation_vector
 from softmap_edge.logs.plausible import doubts_of_time
 from softmap_edge.outside import beyond
+from softmap_edge.run.conditions import conditions
 
 if TYPE_CHECKING:
     from softmap_edge.model import Model
-    from softmap_edge.run import Run
+    from softmap_edge.run.run import Run
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]

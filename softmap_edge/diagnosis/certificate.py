@@ -35,7 +35,7 @@ from softmap_edge.diagnosis.families import Body, Representative, State, familie
 from softmap_edge.diagnosis.findings import Certificate
 from softmap_edge.diagnosis.fit import Fit, Problem
 from softmap_edge.diagnosis.outcome import Outcome
-from softmap_edge.folds import Withheld
+from softmap_edge.run.folds import Withheld
 
 Floats = NDArray[np.float64]
 

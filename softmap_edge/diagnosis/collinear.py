@@ -19,9 +19,9 @@ from itertools import combinations_with_replacement
 import numpy as np
 from numpy.typing import NDArray
 
-from softmap_edge.diagnosis.conditions import TURNED
-from softmap_edge.diagnosis.floor import commanded
-from softmap_edge.run import Run
+from softmap_edge.noise.floor import commanded
+from softmap_edge.run.conditions import TURNED
+from softmap_edge.run.run import Run
 
 Floats = NDArray[np.float64]
 

@@ -17,12 +17,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from softmap_edge.diagnosis.conditions import Cell, cells, conditions
 from softmap_edge.diagnosis.findings import Bin
-from softmap_edge.diagnosis.floor import BOUND, commanded, memoryless_floor, noise_floor, rms
 from softmap_edge.diagnosis.lost import without_lost
 from softmap_edge.errors import ComparisonError
-from softmap_edge.run import Run, known
+from softmap_edge.noise.floor import BOUND, commanded, memoryless_floor, noise_floor, rms
+from softmap_edge.run.conditions import Cell, cells, conditions
+from softmap_edge.run.run import Run, known
 from softmap_edge.views import members, roll_seen, without_roll
 
 if TYPE_CHECKING:

@@ -39,18 +39,18 @@ from softmap_edge.diagnosis.findings import (
 from softmap_edge.diagnosis.fit import Fit
 from softmap_edge.diagnosis.fits import Fits
 from softmap_edge.diagnosis.fitted import parameters, refitted, shift_on
-from softmap_edge.diagnosis.floor import noise_of_runs
 from softmap_edge.diagnosis.masked import Masked
-from softmap_edge.diagnosis.memoryless import repeats_of
-from softmap_edge.diagnosis.motion_at_rest import MotionAtRest
-from softmap_edge.diagnosis.noise import motion_left
 from softmap_edge.diagnosis.outcome import Outcome, Step
 from softmap_edge.diagnosis.prepare import load_seen
 from softmap_edge.diagnosis.record import Record
 from softmap_edge.diagnosis.separate import mended, next_blocks, refits
 from softmap_edge.diagnosis.wording import OwnMisfit, at_bounds, sentence_of, unconfirmed, verdict_of
-from softmap_edge.folds import labelled
+from softmap_edge.noise.floor import noise_of_runs
+from softmap_edge.noise.memoryless import repeats_of
+from softmap_edge.noise.motion_at_rest import MotionAtRest
+from softmap_edge.noise.noise_model import motion_left
 from softmap_edge.own_effect import hashes
+from softmap_edge.run.folds import labelled
 
 Floats = NDArray[np.float64]
 Registry = Mapping[str, dict[str, Any]]

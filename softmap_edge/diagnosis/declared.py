@@ -25,7 +25,7 @@ from softmap_edge.diagnosis.record import Record
 from softmap_edge.diagnosis.records import record_of
 
 if TYPE_CHECKING:
-    from softmap_edge.run import Run
+    from softmap_edge.run.run import Run
 
 FRAMES = 100  # looked at where signs are compared before the search
 CLOSE = 1.3  # times what the best signs leave: a body that hangs tells one sign of its axis hardly from the other

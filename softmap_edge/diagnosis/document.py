@@ -32,8 +32,8 @@ from softmap_edge.diagnosis.findings import (
 from softmap_edge.diagnosis.layout import ranges_of
 from softmap_edge.diagnosis.spools import RADIUS
 from softmap_edge.errors import ReportError, SoftmapError, brief
+from softmap_edge.files.atomic import read_document
 from softmap_edge.learned_in import LearnedIn
-from softmap_edge.whole_file import read_document
 
 if TYPE_CHECKING:
     from softmap_edge.model import Model

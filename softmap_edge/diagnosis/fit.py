@@ -21,10 +21,10 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from softmap_edge.diagnosis.noise import Kernel, Noise, Whitener, command_kernel
 from softmap_edge.diagnosis.record import Forms, Record
 from softmap_edge.errors import SoftmapError
-from softmap_edge.folds import run_folds
+from softmap_edge.noise.noise_model import Kernel, Noise, Whitener, command_kernel
+from softmap_edge.run.folds import run_folds
 
 Floats = NDArray[np.float64]
 

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge import _core
-from softmap_edge.run import Run, known
+from softmap_edge.run.run import Run, known
 
 Floats = NDArray[np.float64]
 

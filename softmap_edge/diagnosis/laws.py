@@ -30,7 +30,7 @@ from softmap_edge.diagnosis.families import (
 )
 from softmap_edge.diagnosis.fit import Fit
 from softmap_edge.diagnosis.fits import Fits
-from softmap_edge.folds import GAP
+from softmap_edge.run.folds import GAP
 
 Floats = NDArray[np.float64]
 

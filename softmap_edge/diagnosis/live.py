@@ -25,7 +25,7 @@ from softmap_edge.chain_labels import valued
 from softmap_edge.diagnosis.comparison import aligned
 from softmap_edge.errors import ComparisonError, RunError
 from softmap_edge.model import Model
-from softmap_edge.run import Run
+from softmap_edge.run.run import Run
 
 Floats = NDArray[np.float64]
 

@@ -12,10 +12,10 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from softmap_edge.diagnosis.floor import commanded
 from softmap_edge.logs.not_seen import not_seen
 from softmap_edge.logs.shifted import find_shifted
-from softmap_edge.run import NOT_SEEN, Run, known, text_in
+from softmap_edge.noise.floor import commanded
+from softmap_edge.run.run import NOT_SEEN, Run, known, text_in
 
 Mask = NDArray[np.bool_]
 

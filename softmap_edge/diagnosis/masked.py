@@ -27,8 +27,8 @@ from softmap_edge.diagnosis.evidence import experiment
 from softmap_edge.diagnosis.findings import Untestable
 from softmap_edge.diagnosis.fit import Fit, Problem
 from softmap_edge.diagnosis.fits import Fits
-from softmap_edge.diagnosis.noise import form_covariance
 from softmap_edge.diagnosis.record import Record
+from softmap_edge.noise.noise_model import form_covariance
 
 Floats = NDArray[np.float64]
 

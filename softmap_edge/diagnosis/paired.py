@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.errors import SoftmapError
-from softmap_edge.folds import LEAST_FRAMES
+from softmap_edge.run.folds import LEAST_FRAMES
 
 if TYPE_CHECKING:
     from softmap_edge.diagnosis.record import Record

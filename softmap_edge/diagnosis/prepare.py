@@ -11,16 +11,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from softmap_edge.diagnosis.conditions import orientations
 from softmap_edge.diagnosis.evidence import experiment
 from softmap_edge.diagnosis.findings import Untestable
 from softmap_edge.diagnosis.fit import Problem
-from softmap_edge.diagnosis.memoryless import repeats_of
-from softmap_edge.diagnosis.noise import Noise, command_kernel, form_covariance, measure_noise, rod_noise, whitener
 from softmap_edge.diagnosis.record import Record
 from softmap_edge.errors import SoftmapError, no_effect
-from softmap_edge.folds import LEAST_FRAMES
-from softmap_edge.output import acts_on_outputs, needs_time
+from softmap_edge.noise.memoryless import repeats_of
+from softmap_edge.noise.noise_model import Noise, command_kernel, form_covariance, measure_noise, rod_noise, whitener
+from softmap_edge.run.conditions import orientations
+from softmap_edge.run.folds import LEAST_FRAMES
+from softmap_edge.run.output import acts_on_outputs, needs_time
 
 Floats = NDArray[np.float64]
 

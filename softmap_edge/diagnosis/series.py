@@ -12,14 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.diagnosis.comparison import aligned, mean_root, template, tips
-from softmap_edge.diagnosis.conditions import conditions
-from softmap_edge.diagnosis.floor import BOUND, commanded, noise_floor
 from softmap_edge.errors import ComparisonError
+from softmap_edge.noise.floor import BOUND, commanded, noise_floor
+from softmap_edge.run.conditions import conditions
 
 if TYPE_CHECKING:
     from softmap_edge.model import Model
-    from softmap_edge.output import Output
-    from softmap_edge.run import Run
+    from softmap_edge.run.output import Output
+    from softmap_edge.run.run import Run
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]

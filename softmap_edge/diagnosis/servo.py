@@ -18,11 +18,11 @@ from softmap_edge import _core
 from softmap_edge.diagnosis.findings import ServoEffect, ServoError, ServoFinding
 from softmap_edge.diagnosis.fit import Problem
 from softmap_edge.diagnosis.fitted import parameters
-from softmap_edge.diagnosis.noise import command_kernel, estimate_noise, form_covariance, whitener
 from softmap_edge.diagnosis.record import Record
 from softmap_edge.diagnosis.search import search
-from softmap_edge.features import FeatureMap
-from softmap_edge.run import Run
+from softmap_edge.geometry.sections import FeatureMap
+from softmap_edge.noise.noise_model import command_kernel, estimate_noise, form_covariance, whitener
+from softmap_edge.run.run import Run
 
 Floats = NDArray[np.float64]
 

@@ -26,21 +26,21 @@ from numpy.typing import NDArray
 
 from softmap_edge import _core
 from softmap_edge.diagnosis.belongs import FOLLOWED, MOTION, belongs, declared, follows, spread, still
-from softmap_edge.diagnosis.conditions import conditions
-from softmap_edge.diagnosis.floor import noise_of_points
 from softmap_edge.diagnosis.lost import without_lost
 from softmap_edge.diagnosis.record import Record
 from softmap_edge.diagnosis.records import record_of
 from softmap_edge.diagnosis.remembered import catches_up, remembered
-from softmap_edge.diagnosis.repeats import LEAST_DWELL, undrifted
 from softmap_edge.errors import RunError
-from softmap_edge.folds import LEAST_FRAMES
-from softmap_edge.run import known
+from softmap_edge.noise.floor import noise_of_points
+from softmap_edge.noise.repeats import LEAST_DWELL, undrifted
+from softmap_edge.run.conditions import conditions
+from softmap_edge.run.folds import LEAST_FRAMES
+from softmap_edge.run.run import known
 from softmap_edge.ticks import converted
 
 if TYPE_CHECKING:
     from softmap_edge.model import Model
-    from softmap_edge.run import Run
+    from softmap_edge.run.run import Run
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.diagnosis.layout import Layout
-from softmap_edge.run import Run, spool_radius
+from softmap_edge.run.run import Run, spool_radius
 from softmap_edge.ticks import TURN, Calibration
 
 Floats = NDArray[np.float64]

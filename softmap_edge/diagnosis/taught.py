@@ -15,14 +15,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from softmap_edge import _core
-from softmap_edge.diagnosis.conditions import orientations
 from softmap_edge.diagnosis.families import families
 from softmap_edge.diagnosis.findings import FamilyFinding, Finding, NextBlock, Untestable
 from softmap_edge.diagnosis.record import Record
+from softmap_edge.run.conditions import orientations
 
 if TYPE_CHECKING:
     from softmap_edge.model import Model
-    from softmap_edge.run import Run
+    from softmap_edge.run.run import Run
 
 WHY = "the model was learned from this run, so its static map contains what was static in the robot then"
 LATER = "the same moves after the change, in a run that takes no part in learning", 4.0

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.diagnosis.belongs import MOTION, spread
-from softmap_edge.diagnosis.floor import commanded
 from softmap_edge.logs.chance import noise_of
-from softmap_edge.run import Run, known
+from softmap_edge.noise.floor import commanded
+from softmap_edge.run.run import Run, known
 
 Array = NDArray[np.float64]
 

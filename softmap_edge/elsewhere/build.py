@@ -21,12 +21,12 @@ from numpy.typing import NDArray
 
 from softmap_edge import _core
 from softmap_edge.elsewhere.bending import Stiffness, fields, weigh
-from softmap_edge.elsewhere.centreline import Centreline, farthest, find_centreline
 from softmap_edge.elsewhere.scattered import fit_scattered
 from softmap_edge.elsewhere.stretches import stretch_fields
 from softmap_edge.elsewhere.sweep_file import ShapeSweep, is_own_sweep, is_shape_sweep
 from softmap_edge.errors import SweepError, brief
-from softmap_edge.features import tip_of
+from softmap_edge.geometry.centreline import Centreline, farthest, find_centreline
+from softmap_edge.geometry.sections import tip_of
 from softmap_edge.model import NOMINAL, Arrays, Model
 from softmap_edge.safety import derived
 from softmap_edge.shape_arrays import family_from, fields_from

@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from softmap_edge.elsewhere.centreline import distances, farthest
+from softmap_edge.geometry.centreline import distances, farthest
 
 Floats = NDArray[np.float64]
 

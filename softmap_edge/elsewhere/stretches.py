@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from softmap_edge import _core
 from softmap_edge.elsewhere.bending import moved
-from softmap_edge.elsewhere.centreline import Centreline, carried
+from softmap_edge.geometry.centreline import Centreline, carried
 
 Floats = NDArray[np.float64]
 

@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from softmap_edge.elsewhere.centreline import find_centreline
 from softmap_edge.elsewhere.sweep_file import ShapeSweep, is_own_sweep
+from softmap_edge.geometry.centreline import find_centreline
 
 
 def summary(sweep: ShapeSweep) -> dict[str, Any]:

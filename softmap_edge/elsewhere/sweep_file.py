@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.errors import SweepError
-from softmap_edge.npz import archive_names, read_npz
+from softmap_edge.files.npz import archive_names, read_npz
 from softmap_edge.outside import BEYOND
 
 Floats = NDArray[np.float64]

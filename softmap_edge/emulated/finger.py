@@ -23,8 +23,8 @@ from softmap_edge.camera.frames import Frame
 from softmap_edge.commissioning.setup import Found, gains, set_up
 from softmap_edge.emulated.tendon_load import tendon_loads
 from softmap_edge.errors import ServoError
-from softmap_edge.home_command import home_command
 from softmap_edge.model import Model
+from softmap_edge.run.rest_command import home_command
 from softmap_edge.servo.bus import opened
 from softmap_edge.servo.clock import REAL_TIME, Clock, PacedTime, SteppedTime
 from softmap_edge.servo.known_state import SET_UP

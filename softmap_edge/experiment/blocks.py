@@ -3,7 +3,7 @@
 A block starts and ends at home. It changes one condition at most (`changes`): the orientation, or the load at the tip,
 or the warmth, never two of them, because what then differs could not be told apart; and what it does in the changed
 condition it does in the usual one too, so that a block alone holds both. `plan` puts blocks one after another.
-Units: s, mm (or the robot's own unit), g, °C. Moves are those of `protocol.py`, within the limits of a robot.
+Units: s, mm (or the robot's own unit), g, °C. Moves are those of `run/protocol.py`, within the limits of a robot.
 Known limit: a warm-up is planned as a straight rise; a real one follows the thermometer. Pinned by
 tests/test_experiment.py.
 """
@@ -17,13 +17,13 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from softmap_edge import protocol as moves
-from softmap_edge.diagnosis.conditions import NEAR
 from softmap_edge.errors import SoftmapError, no_name
-from softmap_edge.protocol import HANGING, LEAN, LIMIT_MINUTES, Limits, Protocol, Tape
+from softmap_edge.run import protocol as moves
+from softmap_edge.run.conditions import NEAR
+from softmap_edge.run.protocol import HANGING, LEAN, LIMIT_MINUTES, Limits, Protocol, Tape
 
 if TYPE_CHECKING:
-    from softmap_edge.run import Run
+    from softmap_edge.run.run import Run
 
 Floats = NDArray[np.float64]
 Vector = tuple[float, ...]

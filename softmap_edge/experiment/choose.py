@@ -28,8 +28,8 @@ from softmap_edge.diagnosis.separate import separating
 from softmap_edge.errors import SoftmapError
 from softmap_edge.experiment.blocks import Block, plan
 from softmap_edge.experiment.simulate import Question, World
-from softmap_edge.protocol import Limits, Protocol
-from softmap_edge.run import Run
+from softmap_edge.run.protocol import Limits, Protocol
+from softmap_edge.run.run import Run
 
 if TYPE_CHECKING:
     from softmap_edge.model import Model

@@ -22,8 +22,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.errors import RunError, brief
-from softmap_edge.protocol import Protocol
-from softmap_edge.whole_file import beside
+from softmap_edge.files.atomic import beside
+from softmap_edge.run.protocol import Protocol
 
 Floats = NDArray[np.float64]
 

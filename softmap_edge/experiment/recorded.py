@@ -19,7 +19,7 @@ from softmap_edge.camera.frames import Frame, HostClock
 from softmap_edge.errors import RecordingWarning, RunError
 from softmap_edge.experiment.kept import read_kept, seen_file
 from softmap_edge.model import Model
-from softmap_edge.run import DAMAGE, Run
+from softmap_edge.run.run import DAMAGE, Run
 from softmap_edge.servo.recording import Recording, read_recording
 from softmap_edge.ticks import TICKS, converted
 

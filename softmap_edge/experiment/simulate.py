@@ -21,7 +21,6 @@ from softmap_edge.diagnosis.document import Diagnosis
 from softmap_edge.diagnosis.findings import Alternative
 from softmap_edge.diagnosis.fit import Problem
 from softmap_edge.diagnosis.fits import Fits
-from softmap_edge.diagnosis.noise import FLOOR, Noise
 from softmap_edge.diagnosis.prepare import problem_of
 from softmap_edge.diagnosis.record import Record
 from softmap_edge.diagnosis.records import record_of
@@ -29,8 +28,9 @@ from softmap_edge.diagnosis.separate import families_of
 from softmap_edge.diagnosis.sound import sound
 from softmap_edge.errors import SoftmapError
 from softmap_edge.experiment.blocks import BLOCKS, Block, Setting, plan
-from softmap_edge.protocol import Limits, Protocol
-from softmap_edge.run import Run
+from softmap_edge.noise.noise_model import FLOOR, Noise
+from softmap_edge.run.protocol import Limits, Protocol
+from softmap_edge.run.run import Run
 
 if TYPE_CHECKING:
     from softmap_edge.model import Model

@@ -21,12 +21,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.errors import RunError
+from softmap_edge.files.time_digits import differing
 from softmap_edge.logs.readers.columns import Array, Cells
 from softmap_edge.logs.rising import longest_rise
 from softmap_edge.logs.set_clock import Jump, both, set_back, set_forward, usual_step
 from softmap_edge.logs.time_keys import TIME, Clock
 from softmap_edge.logs.time_text import DAY, HOUR
-from softmap_edge.time_digits import differing
 
 FEW = 0.05  # of the rows: the most that may be left out without a warning
 _REGULAR = 0.2  # of the usual step: bound on the jitter of a clock

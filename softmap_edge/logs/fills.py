@@ -12,8 +12,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from softmap_edge.files.printable import listed
 from softmap_edge.logs.readers.columns import Array, Cells
-from softmap_edge.printable import listed
 
 LARGEST = 1e20  # of any cell, whatever its unit: times in nanoseconds since 1970 are 2e18
 _MAXIMA = (float(np.finfo(np.float32).max), float(np.finfo(np.float64).max))

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.errors import RunError
+from softmap_edge.files.time_digits import differing
 from softmap_edge.logs.held import LONGEST_HOLD, repeated_frames
 from softmap_edge.logs.mapping import FILE, LENGTH, Log, Mapping, Quantity
 from softmap_edge.logs.measured import Column, Measured
@@ -17,9 +18,8 @@ from softmap_edge.logs.plausible import doubts_of_points
 from softmap_edge.logs.shifted import find_shifted
 from softmap_edge.logs.swaps import find_swaps, mend_swaps
 from softmap_edge.logs.table import LogTable, place
-from softmap_edge.output import output_of
-from softmap_edge.plane import AXES, PLANE
-from softmap_edge.time_digits import differing
+from softmap_edge.run.output import output_of
+from softmap_edge.run.plane import AXES, PLANE
 
 Array = NDArray[np.float64]
 _TOLD = 5  # swaps, and markers not seen, that are named one by one

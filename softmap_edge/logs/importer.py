@@ -23,6 +23,8 @@ from numpy.typing import NDArray
 
 from softmap_edge import _core
 from softmap_edge.errors import RunError
+from softmap_edge.files.mcap_records import Damage
+from softmap_edge.files.time_digits import differing
 from softmap_edge.logs.clock import corrected
 from softmap_edge.logs.frames import choose_frames, seen
 from softmap_edge.logs.held import unhold
@@ -31,10 +33,8 @@ from softmap_edge.logs.plausible import doubts_of_both, doubts_of_rest, doubts_o
 from softmap_edge.logs.sources import assign, named, open_parts, parts_of
 from softmap_edge.logs.table import LogTable, read_log
 from softmap_edge.logs.unwrap import counted_on
-from softmap_edge.mcap_records import Damage
-from softmap_edge.plane import AXES, PLANE
-from softmap_edge.run import DAMAGE, NO_COMMANDS, NOT_SEEN, SPOOL_RADIUS, Run
-from softmap_edge.time_digits import differing
+from softmap_edge.run.plane import AXES, PLANE
+from softmap_edge.run.run import DAMAGE, NO_COMMANDS, NOT_SEEN, SPOOL_RADIUS, Run
 
 __all__ = ["Imported", "Mapping", "import_logs", "read_mapping", "unhold"]
 

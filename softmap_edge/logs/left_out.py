@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from softmap_edge.files.printable import listed
 from softmap_edge.logs.guess_columns import Sheet
 from softmap_edge.logs.triples import LeftOut, Triples
-from softmap_edge.printable import listed
 
 _NAMED = 12  # columns of one kind that are named
 

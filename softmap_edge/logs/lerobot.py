@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from softmap_edge.errors import RunError, brief
-from softmap_edge.printable import listed
+from softmap_edge.files.printable import listed
 
 EITHER_UNIT = (
     "whether the dataset holds degrees or LeRobot's values from -100 to 100 (a gripper's from 0 to 100); "

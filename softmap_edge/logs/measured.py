@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.errors import RunError
-from softmap_edge.toml_table import TomlTable, shown
+from softmap_edge.files.toml import TomlTable, shown
 
 Array = NDArray[np.float64]
 Column = str | int

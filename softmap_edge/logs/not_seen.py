@@ -23,9 +23,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from softmap_edge.files.printable import listed
 from softmap_edge.logs.held_places import Held, held_places
 from softmap_edge.logs.one_coordinate import NAMES, Coordinate, lost_coordinates
-from softmap_edge.printable import listed
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

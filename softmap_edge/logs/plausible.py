@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from softmap_edge.home_command import rest_command
 from softmap_edge.logs.mapping import LENGTH, Mapping, Quantity
+from softmap_edge.run.rest_command import rest_command
 
 Array = NDArray[np.float64]
 ROBOT = (3.0, 3000.0)  # mm: what all markers together span

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from softmap_edge.printable import listed
+from softmap_edge.files.printable import listed
 
 Array = NDArray[np.float64]
 Whole = NDArray[np.intp]

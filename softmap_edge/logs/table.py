@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.errors import RunError
+from softmap_edge.files.printable import listed
 from softmap_edge.logs.clock import kept, times_of
 from softmap_edge.logs.fills import LARGEST, without_fills
 from softmap_edge.logs.mapping import Clock, Log
@@ -32,7 +33,6 @@ from softmap_edge.logs.readers.text import TextColumns, open_text
 from softmap_edge.logs.readers.typed_rows import open_typed
 from softmap_edge.logs.readers.vendor_text import open_lvm, open_nexus, open_qtm
 from softmap_edge.logs.time_text import DAY
-from softmap_edge.printable import listed
 
 _VENDORS: dict[str, Callable[[Path], Columns]] = {
     "trc": open_trc,

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from softmap_edge.errors import RunError
+from softmap_edge.files.toml import TomlTable, shown
 from softmap_edge.logs.measured import Column
 from softmap_edge.logs.time_text import ORDERS
-from softmap_edge.toml_table import TomlTable, shown
 
 NO_TIME = "none"  # the `time` of a log without time: its rows are counted
 ROW_S = 0.05  # s for each row of such a log: the rate at which a model is learned, so that no row is left out

@@ -7,7 +7,7 @@ import numpy as np
 from softmap_edge.errors import RunError
 from softmap_edge.logs.mapping import Quantity
 from softmap_edge.logs.table import LogTable
-from softmap_edge.rollover import DRIVES, Floats, roll_over, roll_over_line, unwrapped
+from softmap_edge.run.rollover import DRIVES, Floats, roll_over, roll_over_line, unwrapped
 
 
 def counted_on(name: str, table: LogTable, quantity: Quantity, notes: list[str], doubts: list[str]) -> Floats:

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.errors import SoftmapError, no_name
-from softmap_edge.whole_file import MOST_TEXT
+from softmap_edge.files.atomic import MOST_TEXT
 
 Floats = NDArray[np.float64]
 

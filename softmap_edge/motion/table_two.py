@@ -25,7 +25,7 @@ from softmap_edge.errors import SoftmapError
 from softmap_edge.model import Model
 from softmap_edge.motion.kinematics import AXES, Kinematics
 from softmap_edge.motion.track import Course, course, spread
-from softmap_edge.protocol import HANGING, Protocol
+from softmap_edge.run.protocol import HANGING, Protocol
 from softmap_edge.servo.limits import ACCELERATION, SLEW
 from softmap_edge.servo_ticks import PUBLISHED
 from softmap_edge.solid.finger import Finger

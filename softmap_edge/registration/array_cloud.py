@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.errors import RegistrationError, brief
-from softmap_edge.npz import MOST_ARRAYS, OBJECTS, array_header, check_directory
+from softmap_edge.files.npz import MOST_ARRAYS, OBJECTS, array_header, check_directory
 from softmap_edge.registration.columns import choose
 
 Floats = NDArray[np.float64]

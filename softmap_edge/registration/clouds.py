@@ -17,13 +17,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.errors import RegistrationError
-from softmap_edge.npz import archive_names
+from softmap_edge.files.npz import archive_names
 from softmap_edge.registration.array_cloud import read_archive, read_npy
 from softmap_edge.registration.pcd import is_pcd, read_pcd
 from softmap_edge.registration.ply import read_ply
 from softmap_edge.registration.text_cloud import read_text
 from softmap_edge.registration.unseen import left_out
-from softmap_edge.run import Run
+from softmap_edge.run.run import Run
 
 Floats = NDArray[np.float64]
 Reader = Callable[[Path, list[str]], Floats]

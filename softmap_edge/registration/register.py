@@ -22,7 +22,7 @@ from softmap_edge.errors import RegistrationError
 from softmap_edge.leaning import prior_in, priors_in
 from softmap_edge.model import Model
 from softmap_edge.registration.clouds import clouds_of
-from softmap_edge.run import ROLL_SEEN, Run
+from softmap_edge.run.run import ROLL_SEEN, Run
 
 Floats = NDArray[np.float64]
 Mode = Literal["robust", "paper"]

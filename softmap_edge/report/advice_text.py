@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from softmap_edge.diagnosis.advice import Word
-from softmap_edge.report.numbers import folded
+from softmap_edge.files.numbers import folded
 
 
 def advice_lines(words: list[Word]) -> list[str]:

@@ -11,8 +11,8 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from softmap_edge.errors import ReportError
+from softmap_edge.files.numbers import BAR, bar, fall, folded, mm, percent
 from softmap_edge.report.in_unit import PLACES, comparison_in_unit, unit_of
-from softmap_edge.report.numbers import BAR, bar, fall, folded, mm, percent
 
 if TYPE_CHECKING:
     from softmap_edge.diagnosis.comparison import Comparison

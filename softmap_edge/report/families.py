@@ -9,8 +9,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from softmap_edge.files.numbers import folded, mm, number, percent, tamed
 from softmap_edge.report.in_unit import PLACES
-from softmap_edge.report.numbers import folded, mm, number, percent, tamed
 from softmap_edge.report.style import escaped, section
 
 LEARNED = "Learned with the model: present in the robot at that time"

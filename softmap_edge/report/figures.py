@@ -23,9 +23,9 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from softmap_edge.diagnosis.series import Series
+from softmap_edge.files.numbers import mm
 from softmap_edge.report.comparison_text import WHERE
 from softmap_edge.report.in_unit import PLACES
-from softmap_edge.report.numbers import mm
 from softmap_edge.report.text import ladder_steps
 
 Floats = NDArray[np.float64]

@@ -11,8 +11,8 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-from softmap_edge.output import Output
-from softmap_edge.report.numbers import mm
+from softmap_edge.files.numbers import mm
+from softmap_edge.run.output import Output
 
 if TYPE_CHECKING:
     from softmap_edge.diagnosis.comparison import Comparison

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from softmap_edge.report.numbers import folded
+from softmap_edge.files.numbers import folded
 from softmap_edge.report.text import alternative_name
 
 

@@ -7,7 +7,7 @@ import html
 from collections.abc import Iterable
 from typing import Any
 
-from softmap_edge.printable import printable
+from softmap_edge.files.printable import printable
 
 # Which tone a verdict's badge has: good, warn, bad or calm.
 TONES = {

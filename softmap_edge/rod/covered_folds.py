@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.coverage import Coverage
-from softmap_edge.folds import FOLDS, GAP, Folds, Index, folds, labelled, run_folds
 from softmap_edge.rod.reference_run import Seen
 from softmap_edge.rod.regression import SQUARES, Basis
+from softmap_edge.run.folds import FOLDS, GAP, Folds, Index, folds, labelled, run_folds
 
 UNCOVERED = 0.1  # share of the held-out frames that the others may leave uncovered
 LEAST_COVERED = 0.5  # share of the frames that must be covered, or all are tested

@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 
 from softmap_edge import _core
 from softmap_edge.errors import RobotError, RunError
-from softmap_edge.folds import Folds
 from softmap_edge.rod.covered_folds import search_folds
 from softmap_edge.rod.descent import Term, descend
 from softmap_edge.rod.elastic import Coordinates, ElasticParameters
@@ -27,6 +26,7 @@ from softmap_edge.rod.memory import FRAMES, Memory, find_memory
 from softmap_edge.rod.reference_run import Fitted, Number, Seen
 from softmap_edge.rod.regression import Basis
 from softmap_edge.rod.static_map import StaticMap
+from softmap_edge.run.folds import Folds
 
 if TYPE_CHECKING:
     from softmap_edge.rod.robot import Robot

@@ -23,25 +23,25 @@ from softmap_edge.coverage import Coverage, apart, said_apart
 from softmap_edge.diagnosis.base_motion import kept_places
 from softmap_edge.diagnosis.lost import without_lost
 from softmap_edge.errors import RunError, SoftmapError
-from softmap_edge.folds import folds
-from softmap_edge.home_command import far_from_home
 from softmap_edge.learned_in import LearnedIn
 from softmap_edge.model import NOMINAL, Model
-from softmap_edge.plane import plane_of
 from softmap_edge.rod.elastic import ElasticParameters
 from softmap_edge.rod.elastic_fit import fit_elastic, fit_for
 from softmap_edge.rod.polynomial import RodParameters, fit_polynomial
 from softmap_edge.rod.reference_run import Fitted, Number, Rod, Seen, observe
 from softmap_edge.rod.regression import rms
-from softmap_edge.run import HOME_TICKS, Run
-from softmap_edge.run_pieces import spans
+from softmap_edge.run.folds import folds
+from softmap_edge.run.pieces import spans
+from softmap_edge.run.plane import plane_of
+from softmap_edge.run.rest_command import far_from_home
+from softmap_edge.run.run import HOME_TICKS, Run
 from softmap_edge.safety import derived
 from softmap_edge.ticks import from_home
 from softmap_edge.version import __version__
 
 if TYPE_CHECKING:
     from softmap_edge.rod.robot import Robot
-    from softmap_edge.run import Source
+    from softmap_edge.run.run import Source
 
 Floats = NDArray[np.float64]
 Arrays = dict[str, NDArray[np.generic]]

@@ -20,7 +20,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from softmap_edge import _core
 from softmap_edge.errors import RunError, SoftmapError
-from softmap_edge.folds import Folds
 from softmap_edge.model import TIP_PER_NEWTON
 from softmap_edge.rod.covered_folds import covered_folds, search_folds
 from softmap_edge.rod.memory import FEW_CHANNELS, FRAMES, Memory, find_memory, refined_memory
@@ -37,6 +36,7 @@ from softmap_edge.rod.regression import (
     compiled,
 )
 from softmap_edge.rod.static_map import StaticMap
+from softmap_edge.run.folds import Folds
 
 Floats = NDArray[np.float64]
 Arrays = dict[str, NDArray[np.generic]]

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from softmap_edge import _core
 from softmap_edge.chain_labels import valued
-from softmap_edge.folds import Folds
+from softmap_edge.run.folds import Folds
 
 Floats = NDArray[np.float64]
 

@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.errors import RobotError, SoftmapError, brief
+from softmap_edge.files.toml import TomlTable
 from softmap_edge.rod.elastic import MODES, Coordinates, Layout
-from softmap_edge.toml_table import TomlTable
 
 Floats = NDArray[np.float64]
 

@@ -5,7 +5,7 @@
 Targets are mm that represent the markers: chords turned into the plane, Σ over the chords below of length × angle.
 Their squared error is about that of the markers. With a described rod they are the coordinates of the markers, and
 `base` is that rod. The *held-out loss* of a fold is the sum of squares over its frames, predicted from the other folds.
-Folds stay contiguous because frames near each other are alike (`folds.py`). While laws are searched they are fitted
+Folds stay contiguous because frames near each other are alike (`run/folds.py`). While laws are searched they are fitted
 with the map's `ridge`, which is almost zero; they are compared at the ridge of the lowest held-out loss.
 Source: variable projection, Golub and Pereyra 1973, doi:10.1137/0710036. Pinned by tests/test_learned_memory.py.
 """
@@ -18,9 +18,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from softmap_edge.folds import Folds
 from softmap_edge.rod.regression import RIDGE_STEPS, Basis, normalise
 from softmap_edge.rod.signals import splines
+from softmap_edge.run.folds import Folds
 
 Floats = NDArray[np.float64]
 Index = NDArray[np.intp]

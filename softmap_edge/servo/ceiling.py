@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 from softmap_edge import _core
 from softmap_edge.errors import ServoError
-from softmap_edge.toml_table import TomlTable
+from softmap_edge.files.toml import TomlTable
 
 Value = float | tuple[float, float]
 

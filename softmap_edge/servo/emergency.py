@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from softmap_edge.errors import ServoError
-from softmap_edge.toml_table import TomlTable, quoted
+from softmap_edge.files.toml import TomlTable, quoted
 
 TIMEOUT = 0.2  # s: some beats of the usual fifty a second may be lost
 SHORTEST, LONGEST = 0.02, 2.0  # s

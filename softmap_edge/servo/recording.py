@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from softmap_edge import _core
 from softmap_edge.errors import CalibrationError, RunError, SoftmapError
-from softmap_edge.run import CALIBRATION, Run
+from softmap_edge.run.run import CALIBRATION, Run
 from softmap_edge.servo import words
 from softmap_edge.servo.recording_damage import find_shortfall
 from softmap_edge.ticks import Calibration

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from softmap_edge import _core
 from softmap_edge.errors import SoftmapError
-from softmap_edge.mcap_records import MESSAGE, Closing, Damage, Walk, read_closing
+from softmap_edge.files.mcap_records import MESSAGE, Closing, Damage, Walk, read_closing
 
 CUT = "its loop did not close it: cut short"
 _ANYWHERE = "damaged (Data section CRC"  # how the reader begins where the checksum of everything fails

@@ -14,13 +14,13 @@ from typing import Any
 
 from softmap_edge import _core
 from softmap_edge.errors import ServoError, SoftmapError
+from softmap_edge.files.atomic import MOST_TEXT, write_whole
+from softmap_edge.files.toml import TomlTable, quoted, written
 from softmap_edge.servo.ceiling import RANGES, Ceiling, read_ceiling
 from softmap_edge.servo.clock import REAL_TIME, Clock
 from softmap_edge.servo.emergency import Emergency, read_emergency
 from softmap_edge.servo.models import servo_model
 from softmap_edge.servo.rig_text import noted
-from softmap_edge.toml_table import TomlTable, quoted, written
-from softmap_edge.whole_file import MOST_TEXT, write_whole
 
 SCHEMA = "softmap.rig/1"
 MOST_SERVOS = int(_core.limit_ranges()["servos"][1])

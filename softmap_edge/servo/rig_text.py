@@ -11,7 +11,7 @@ import tomllib
 from collections.abc import Mapping
 from typing import Any
 
-from softmap_edge.toml_table import quoted, written
+from softmap_edge.files.toml import quoted, written
 
 Part = list[str]  # the lines of a table, its header first (of the first one: an empty line)
 TOP = ("port", "baud")

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from softmap_edge import _core
 from softmap_edge.errors import FingerError
+from softmap_edge.files.toml import quoted
 from softmap_edge.solid.numbers import (
     COMPARE,
     Pairs,
@@ -29,7 +30,6 @@ from softmap_edge.solid.numbers import (
     sequence,
     shown,
 )
-from softmap_edge.toml_table import quoted
 
 Floats = NDArray[np.float64]
 

@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 
 from softmap_edge import _core
 from softmap_edge.errors import FingerError, SoftmapError
-from softmap_edge.features import SECTIONS, sections_of, tip_of
+from softmap_edge.files.npz import packed, unpacked
+from softmap_edge.geometry.sections import SECTIONS, sections_of, tip_of
 from softmap_edge.model import Arrays, Model
-from softmap_edge.npz import packed, unpacked
-from softmap_edge.run import Run
+from softmap_edge.run.run import Run
 from softmap_edge.safety import derived
 from softmap_edge.shape_arrays import cables_from, fields_from, pairs_of, plain_table, second_from, table_from
 from softmap_edge.solid.bodies import Meshed

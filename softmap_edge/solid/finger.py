@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from softmap_edge.errors import FingerError, brief
+from softmap_edge.files.toml import quoted
 from softmap_edge.solid.bodies import Meshed, Solid, solid_from
 from softmap_edge.solid.numbers import (
     Pairs,
@@ -29,7 +30,6 @@ from softmap_edge.solid.numbers import (
     shown,
 )
 from softmap_edge.solid.tendons import Region, Tendon, check_commands, region_from, tendon_from, unit_of
-from softmap_edge.toml_table import quoted
 
 __all__ = ["Finger", "Region", "Tendon"]
 

@@ -26,11 +26,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge import _core
-from softmap_edge.alignment.rigid import Pose, rotation
-from softmap_edge.diagnosis.conditions import conditions
 from softmap_edge.errors import RunError, SoftmapError
-from softmap_edge.features import attach, marker_features, section_features, seen_residual, upright
-from softmap_edge.run import Run, known
+from softmap_edge.geometry.rigid import Pose, rotation
+from softmap_edge.geometry.sections import attach, marker_features, section_features, seen_residual, upright
+from softmap_edge.run.conditions import conditions
+from softmap_edge.run.run import Run, known
 from softmap_edge.solid.finger import Finger
 from softmap_edge.solid.simulator import Simulator, tour
 

@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 
 from softmap_edge.errors import FingerError
-from softmap_edge.printable import listed
+from softmap_edge.files.printable import listed
+from softmap_edge.files.toml import quoted
 from softmap_edge.solid.bodies import Meshed
 from softmap_edge.solid.finger import Finger
-from softmap_edge.toml_table import quoted
 
 _SHOWN = 6  # groups that a message lists
 

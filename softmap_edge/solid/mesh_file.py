@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.errors import FingerError, brief
-from softmap_edge.in_child import ChildFault, in_child
+from softmap_edge.files.child import ChildFault, in_child
 from softmap_edge.solid.foreign_mesh import kind_of, parse
 
 _MOST_BYTES = 64 << 20  # of a mesh file; 60 000 tetrahedra take 4 MB

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from softmap_edge import _core
 from softmap_edge.errors import FingerError, SimulationError, SoftmapError, brief
-from softmap_edge.npz import read_npz, write_npz
+from softmap_edge.files.npz import read_npz, write_npz
 from softmap_edge.solid.finger import Finger
 from softmap_edge.solid.groups import named_cells
 from softmap_edge.version import __version__

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from softmap_edge.errors import FingerError
+from softmap_edge.files.toml import quoted
 from softmap_edge.solid.bodies import Meshed, Solid, Tapered
 from softmap_edge.solid.mesh_file import read_guides
 from softmap_edge.solid.numbers import (
@@ -27,7 +28,6 @@ from softmap_edge.solid.numbers import (
     rows,
     shown,
 )
-from softmap_edge.toml_table import quoted
 
 Formula = tuple[float, float, list[tuple[float, float]]]
 

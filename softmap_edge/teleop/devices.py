@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from softmap_edge.errors import TeleopError
-from softmap_edge.printable import listed
+from softmap_edge.files.printable import listed
 
 DEVICES = Path("/dev")
 LASTING = ("v4l/by-id", "v4l/by-path")

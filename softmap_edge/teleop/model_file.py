@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from softmap_edge.errors import TeleopError
-from softmap_edge.whole_file import beside, write_whole
+from softmap_edge.files.atomic import beside, write_whole
 
 DETECTOR, LANDMARKS = "hand_detector.tflite", "hand_landmarks_detector.tflite"
 IN_WHEEL = {

@@ -28,7 +28,7 @@ from softmap_edge.alignment.clouds import base_stood_off, in_base
 from softmap_edge.model import Model
 from softmap_edge.registration.clouds import clouds_of
 from softmap_edge.registration.register import register
-from softmap_edge.run import Run
+from softmap_edge.run.run import Run
 from softmap_edge.solid.finger import Finger
 from softmap_edge.solid.simulator import Simulator, Template, tour
 from softmap_training.errors import TrainingError

@@ -18,8 +18,8 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from softmap_edge import _core
+from softmap_edge.files.numbers import mm
 from softmap_edge.report.figures import AFTER, BEFORE, FAINT, FLOOR, INK, STYLE, WIDE, png, svg
-from softmap_edge.report.numbers import mm
 from softmap_edge.report.sheet import LIGHT, view
 from softmap_training.evaluate import Row
 

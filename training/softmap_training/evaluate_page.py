@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from softmap_edge.report.numbers import mm
+from softmap_edge.files.atomic import write_whole
+from softmap_edge.files.numbers import mm
 from softmap_edge.report.style import PAGE, cards, escaped, picture, section
-from softmap_edge.whole_file import write_whole
 from softmap_training.evaluate import Row
 from softmap_training.evaluate_text import MEANING, PAPER, RECORDED, SIMULATED, TOLD, cell, cost, samples, there, title
 

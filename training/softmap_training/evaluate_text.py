@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-from softmap_edge.report.numbers import mm
+from softmap_edge.files.numbers import mm
 from softmap_training.evaluate import ERRORS
 
 Document = Mapping[str, Any]

@@ -27,10 +27,10 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from softmap_edge import _core
-from softmap_edge.features import tip_of
+from softmap_edge.files.npz import unpacked
+from softmap_edge.geometry.sections import tip_of
 from softmap_edge.model import Arrays, Model
 from softmap_edge.network import elsewhere, run_elsewhere
-from softmap_edge.npz import unpacked
 from softmap_edge.outside import BEYOND, UNLIKE, span
 from softmap_edge.registration.register import clamped
 from softmap_edge.shape_arrays import family_from

@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 
 from softmap_edge.alignment.clouds import base_stood_off, in_base
 from softmap_edge.alignment.matching import weighted
-from softmap_edge.folds import Folds, run_folds
 from softmap_edge.model import Model
 from softmap_edge.registration.clouds import clouds_of
 from softmap_edge.registration.register import register
 from softmap_edge.residual import APART, strangers
-from softmap_edge.run import Run
+from softmap_edge.run.folds import Folds, run_folds
+from softmap_edge.run.run import Run
 from softmap_training import choices
 from softmap_training.errors import TrainingError
 

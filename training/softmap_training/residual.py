@@ -26,11 +26,11 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from softmap_edge import _core
-from softmap_edge.folds import Folds
 from softmap_edge.model import Model
 from softmap_edge.outside import span
 from softmap_edge.registration.register import clamped
-from softmap_edge.run import Run
+from softmap_edge.run.folds import Folds
+from softmap_edge.run.run import Run
 from softmap_training import choices
 from softmap_training.chamfer import chamfer, thinned
 from softmap_training.choices import Recipe

@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.errors import RunError
+from softmap_edge.files.printable import listed
 from softmap_edge.logs.readers.columns import Array, Cells, as_floats, quiet
-from softmap_edge.printable import listed
 
 MOST_COLUMNS = 4096  # of one array, and of all of a file
 _SHOWN = 6  # arrays that a note names

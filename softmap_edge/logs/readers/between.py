@@ -12,8 +12,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from softmap_edge.files.printable import listed
 from softmap_edge.logs.readers.cells import is_value, split
-from softmap_edge.printable import listed
 
 _LISTED = 3  # lines that are named
 _MARKS = "#%"

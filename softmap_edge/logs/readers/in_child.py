@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.errors import RunError
-from softmap_edge.in_child import ChildFault, ChildLate, ChildMemory, in_child
+from softmap_edge.files.child import ChildFault, ChildLate, ChildMemory, in_child
 
 Array = NDArray[np.float64]
 MEGABYTES = 1024  # that a parser may take

@@ -10,6 +10,7 @@ import zipfile
 from pathlib import Path
 
 from softmap_edge.errors import RunError
+from softmap_edge.files.npz import check_directory
 from softmap_edge.logs.readers.encoding import encoding_of_start, is_wide
 from softmap_edge.logs.readers.mcap_file import MAGIC
 from softmap_edge.logs.readers.mocap import is_motive, is_trc
@@ -17,7 +18,6 @@ from softmap_edge.logs.readers.packed import GZIP, ZSTD
 from softmap_edge.logs.readers.rosbag_sqlite import MAGIC as SQLITE
 from softmap_edge.logs.readers.typed_rows import is_typed
 from softmap_edge.logs.readers.vendor_text import is_lvm, is_nexus, is_qtm
-from softmap_edge.npz import check_directory
 
 RECORDINGS = ("mcap", "db3")  # several topics, stamped with the time of recording
 ARRAYS = ("npz", "npy", "mat", "hdf5", "parquet")

@@ -9,8 +9,8 @@ from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from softmap_edge.mcap_records import Closing, Damage
-from softmap_edge.printable import listed
+from softmap_edge.files.mcap_records import Closing, Damage
+from softmap_edge.files.printable import listed
 
 SPANS = 3  # time spans that are named one by one
 

@@ -14,11 +14,11 @@ from pathlib import Path
 from typing import Any
 
 from softmap_edge.errors import RecordingWarning, RunError
+from softmap_edge.files.mcap_records import MAGIC
 from softmap_edge.logs.readers.cdr import CdrError, Types, parse_definition, read_message
 from softmap_edge.logs.readers.columns import HeldColumns
 from softmap_edge.logs.readers.mcap_messages import Messages
 from softmap_edge.logs.readers.messages import MessageRows, no_message, several_topics
-from softmap_edge.mcap_records import MAGIC
 
 __all__ = ["MAGIC", "Topic", "open_mcap", "topics"]
 

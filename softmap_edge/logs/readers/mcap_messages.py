@@ -15,9 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from softmap_edge.errors import RunError, brief
-from softmap_edge.logs.readers.mcap_account import Account, Lost
-from softmap_edge.logs.readers.packed import ZSTD_WINDOW
-from softmap_edge.mcap_records import (
+from softmap_edge.files.mcap_records import (
     CHANNEL,
     CHUNK,
     MAGIC,
@@ -32,6 +30,8 @@ from softmap_edge.mcap_records import (
     read_closing,
     split,
 )
+from softmap_edge.logs.readers.mcap_account import Account, Lost
+from softmap_edge.logs.readers.packed import ZSTD_WINDOW
 
 if TYPE_CHECKING:
     from mcap.records import Channel, Message, Schema

@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.errors import RunError, brief
+from softmap_edge.files.npz import MOST_ARRAYS, array_header
 from softmap_edge.logs.readers.arrays import MOST_COLUMNS, ArrayColumns, columns_of_arrays
 from softmap_edge.logs.readers.in_child import MOST
-from softmap_edge.npz import MOST_ARRAYS, array_header
 
 LIMIT = 2**29  # bytes of all arrays when unpacked
 

@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 
 from softmap_edge.errors import RunError
+from softmap_edge.files.time_digits import differing
 from softmap_edge.logs.readers.columns import Array, Cells, Columns
 from softmap_edge.logs.table import place, raw_times
 from softmap_edge.logs.time_keys import Clock
 from softmap_edge.logs.time_text import TimeText
-from softmap_edge.time_digits import differing
 
 
 @dataclass(frozen=True)

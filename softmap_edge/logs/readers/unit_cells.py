@@ -10,8 +10,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from softmap_edge.errors import RunError
+from softmap_edge.files.printable import listed
 from softmap_edge.logs.readers.cells import is_number, is_unit
-from softmap_edge.printable import listed
 
 _CELL = re.compile(r"[+-]?\d[\d.,]*(?:[eE][+-]?\d+)?\s*([^\d\s.,;:/_-]{1,8})")
 _MOST = 0.9  # of the filled cells

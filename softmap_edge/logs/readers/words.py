@@ -12,7 +12,7 @@ import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
-from softmap_edge.printable import listed
+from softmap_edge.files.printable import listed
 
 EMPTY = {"", "nan", "na", "n/a", "null", "none", "-nan"}  # not reported to the user: their meaning is clear
 MOSTLY = 0.5  # of the cells: a column with more words is no column of numbers

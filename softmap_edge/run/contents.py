@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from softmap_edge.logs.time_keys import ROW_S
-from softmap_edge.run import OURS, Run
-from softmap_edge.run_pieces import spans
+from softmap_edge.run.pieces import spans
+from softmap_edge.run.run import OURS, Run
 
 DECLARED = {"temperature": "°C", "load": "g"}
 MOST = 12  # blocks or pieces that a text lists

@@ -23,17 +23,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from softmap_edge.diagnosis.conditions import Conditions
-from softmap_edge.diagnosis.jitter import (
+from softmap_edge.errors import SoftmapError
+from softmap_edge.noise.jitter import (
     COMMANDED,
     commanded_modes,
     coordinates,
     frame_jitter,
     white_variance,
 )
-from softmap_edge.diagnosis.memoryless import Repeats
-from softmap_edge.diagnosis.motion_at_rest import AtRest, MotionAtRest, motion_at_rest
-from softmap_edge.diagnosis.repeats import (
+from softmap_edge.noise.memoryless import Repeats
+from softmap_edge.noise.motion_at_rest import AtRest, MotionAtRest, motion_at_rest
+from softmap_edge.noise.repeats import (
     LEAST_DWELL,
     Scatter,
     dwell_scatter,
@@ -42,7 +42,7 @@ from softmap_edge.diagnosis.repeats import (
     settled_dwells,
     undrifted,
 )
-from softmap_edge.errors import SoftmapError
+from softmap_edge.run.conditions import Conditions
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]

@@ -13,11 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.errors import RunError
-from softmap_edge.output import Output, output_of
-from softmap_edge.time_digits import differing
+from softmap_edge.files.time_digits import differing
+from softmap_edge.run.output import Output, output_of
 
 if TYPE_CHECKING:
-    from softmap_edge.run import Run
+    from softmap_edge.run.run import Run
 
 # field: (axes, type). Axes: T command rows, C channels, K frames, N points a frame, P points in all, S = K + 1;
 # A cameras; a digit is itself.

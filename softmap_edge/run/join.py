@@ -15,12 +15,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from softmap_edge import run_pieces
 from softmap_edge.errors import RunError
-from softmap_edge.folds import GAP
-from softmap_edge.run import BASE_MARKERS, MAX_NUMBERS, PIECES, Run
-from softmap_edge.run_blocks import joined_blocks
-from softmap_edge.run_fits import check_fit
+from softmap_edge.run import pieces as run_pieces
+from softmap_edge.run.blocks import joined_blocks
+from softmap_edge.run.fits import check_fit
+from softmap_edge.run.folds import GAP
+from softmap_edge.run.run import BASE_MARKERS, MAX_NUMBERS, PIECES, Run
 
 Floats = NDArray[np.float64]
 GAP_S = 10.0  # s between runs of several recordings: ten times the gap next to a block of a diagnosis

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from softmap_edge.printable import listed
-from softmap_edge.run import Run, spool_radius
+from softmap_edge.files.printable import listed
+from softmap_edge.run.run import Run, spool_radius
 
 Floats = NDArray[np.float64]
 TURNS = (2 * np.pi, 360.0, 3600.0, 36000.0, *(2.0**bits for bits in range(8, 25)))

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.errors import SoftmapError, brief
-from softmap_edge.whole_file import beside
+from softmap_edge.files.atomic import beside
 
 MAX_BYTES = 4 << 30
 MOST_ARRAYS = 1000

@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.diagnosis.advice import WARMING
-from softmap_edge.diagnosis.conditions import NEAR
-from softmap_edge.folds import GAP
-from softmap_edge.run import Run
+from softmap_edge.run.conditions import NEAR
+from softmap_edge.run.folds import GAP
+from softmap_edge.run.run import Run
 
 Floats = NDArray[np.float64]
 MANY_STEPS = 10.0  # usual steps between frames: a longer one is a gap

@@ -17,7 +17,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from softmap_edge.diagnosis.conditions import NEAR, Conditions
+from softmap_edge.run.conditions import NEAR, Conditions
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

@@ -15,9 +15,9 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from softmap_edge import run_pieces
-from softmap_edge.folds import GAP
-from softmap_edge.run import Run
+from softmap_edge.run import pieces as run_pieces
+from softmap_edge.run.folds import GAP
+from softmap_edge.run.run import Run
 
 Floats = NDArray[np.float64]
 LONGEST_S = 3600.0  # s between two runs: a longer pause is no pause of one experiment

@@ -15,9 +15,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from softmap_edge.diagnosis.conditions import Conditions
-from softmap_edge.diagnosis.jitter import polynomial
-from softmap_edge.diagnosis.repeats import RUN, filled
+from softmap_edge.noise.jitter import polynomial
+from softmap_edge.noise.repeats import RUN, filled
+from softmap_edge.run.conditions import Conditions
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

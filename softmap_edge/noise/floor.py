@@ -23,11 +23,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from softmap_edge.diagnosis.conditions import Conditions, conditions
-from softmap_edge.diagnosis.memoryless import Repeats, repeats_of
-from softmap_edge.diagnosis.noise import ENOUGH, measure_noise
-from softmap_edge.diagnosis.repeats import SETTLED, dwell_degrees, settled_dwells
-from softmap_edge.run import Run, known
+from softmap_edge.noise.memoryless import Repeats, repeats_of
+from softmap_edge.noise.noise_model import ENOUGH, measure_noise
+from softmap_edge.noise.repeats import SETTLED, dwell_degrees, settled_dwells
+from softmap_edge.run.conditions import Conditions, conditions
+from softmap_edge.run.run import Run, known
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]

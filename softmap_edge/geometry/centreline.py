@@ -21,7 +21,7 @@ from numpy.polynomial import legendre
 from numpy.typing import NDArray
 
 from softmap_edge.errors import SoftmapError
-from softmap_edge.features import SECTIONS, Body, slices
+from softmap_edge.geometry.sections import SECTIONS, Body, slices
 
 Floats = NDArray[np.float64]
 

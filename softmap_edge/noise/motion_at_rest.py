@@ -18,8 +18,8 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from softmap_edge.diagnosis.jitter import coordinates, white_variance
-from softmap_edge.diagnosis.repeats import LEAST_DWELL, filled, rows_of
+from softmap_edge.noise.jitter import coordinates, white_variance
+from softmap_edge.noise.repeats import LEAST_DWELL, filled, rows_of
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.errors import RunError
-from softmap_edge.run import PIECES, Run
+from softmap_edge.run.run import PIECES, Run
 
 _HASH = 64  # characters of a SHA-256 in hex
 

@@ -21,8 +21,8 @@ from itertools import combinations_with_replacement
 import numpy as np
 from numpy.typing import NDArray
 
-from softmap_edge.diagnosis.conditions import Conditions
-from softmap_edge.diagnosis.repeats import LEAST_DWELL, RUN, drift, filled, poses, rows_of
+from softmap_edge.noise.repeats import LEAST_DWELL, RUN, drift, filled, poses, rows_of
+from softmap_edge.run.conditions import Conditions
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]

@@ -21,11 +21,11 @@ from typing import Any, Literal, overload
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from softmap_edge import run_fields as fields
 from softmap_edge.errors import RunError
-from softmap_edge.npz import MAX_BYTES, read_npz, write_npz
-from softmap_edge.output import Output, output_of
-from softmap_edge.plane import PLANE
+from softmap_edge.files.npz import MAX_BYTES, read_npz, write_npz
+from softmap_edge.run import fields
+from softmap_edge.run.output import Output, output_of
+from softmap_edge.run.plane import PLANE
 
 Array = NDArray[np.float64]
 Source = Literal["goal", "present"]
@@ -401,7 +401,7 @@ class Run:
         Raises:
             RunError: the piece is empty, or there is no such block.
         """
-        from softmap_edge.run_cut import cut
+        from softmap_edge.run.cut import cut
 
         return cut(self, start, end, block=block, lead_s=lead_s)
 

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from softmap_edge.errors import RunError
 
 if TYPE_CHECKING:
-    from softmap_edge.run import Run
+    from softmap_edge.run.run import Run
 
 Array = NDArray[np.float64]
 

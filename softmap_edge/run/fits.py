@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from softmap_edge.errors import RunError
-from softmap_edge.run import Run
+from softmap_edge.run.run import Run
 
 REST_MM = 1e-6  # mm by which the markers at rest may differ
 ONCE = ("marker_rest", "cameras")  # fields that belong to the robot, equal in all runs

@@ -14,10 +14,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from softmap_edge import run_fields, run_pieces
 from softmap_edge.errors import RunError, no_name
-from softmap_edge.run import OURS, Run
-from softmap_edge.run_join import join_runs
+from softmap_edge.run import fields as run_fields
+from softmap_edge.run import pieces as run_pieces
+from softmap_edge.run.join import join_runs
+from softmap_edge.run.run import OURS, Run
 
 MOST_NAMED = 20  # blocks that an error lists
 

@@ -1,0 +1,1 @@
+"""Geometry without a model: rigid fits, sections of a body, centrelines."""

@@ -1,0 +1,1 @@
+"""Runs: what a robot was commanded and what was seen of it."""
