@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from softmap_edge import Model, Run, learn_model
-from softmap_edge.bundle import builtin_model, save_bundle
+from softmap_edge.model.bundle import builtin_model, save_bundle
 
 FINGERS: dict[str, tuple[list[str], float]] = {
     "nothing": ([], 0.5),

@@ -21,7 +21,7 @@ import numpy as np
 
 from benches.row import ratio, side_by_side
 from softmap_edge import _core
-from softmap_edge.bundle import builtin_model
+from softmap_edge.model.bundle import builtin_model
 from softmap_edge.registration.register import PAPER_ROUNDS, PAPER_STRENGTH, register
 from softmap_edge.solid.finger import Finger
 from softmap_edge.solid.simulator import Simulator

@@ -14,11 +14,11 @@ from contextlib import contextmanager
 import numpy as np
 
 from softmap_edge import _core
+from softmap_edge.model.servo_calibration import Calibration
 from softmap_edge.servo.controller import Controller
 from softmap_edge.servo.limits import loop_limits, servo_limits
 from softmap_edge.servo.proof import set_mark
 from softmap_edge.servo.rig import Rig, RigServo
-from softmap_edge.ticks import Calibration
 
 MODEL, NUMBER, HOME = "XM430-W350", 1020, 2048
 FAST, USUAL = (4_000_000, 1000.0), (1_000_000, 100.0)  # baud, periods a second

@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 
 from benches.row import ratio, side_by_side
 from softmap_edge import _core
-from softmap_edge.bundle import builtin_model
-from softmap_edge.model import Model
+from softmap_edge.model.bundle import builtin_model
+from softmap_edge.model.model import Model
 
 Floats = NDArray[np.float64]
 

@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from benches.geometry import SHAPES, truths
-from softmap_edge.bundle import builtin_model
+from softmap_edge.model.bundle import builtin_model
 from softmap_edge.registration.register import register
 from softmap_edge.solid.build import handles_of
 from softmap_edge.solid.finger import Finger

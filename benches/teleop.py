@@ -15,9 +15,10 @@ from pathlib import Path
 import numpy as np
 
 from benches.data import find
-from softmap_edge.bundle import builtin_model
 from softmap_edge.emulated.finger import emulated_bench
 from softmap_edge.errors import SoftmapError
+from softmap_edge.model.bundle import builtin_model
+from softmap_edge.model.servo_calibration import Calibration
 from softmap_edge.motion.kinematics import Kinematics
 from softmap_edge.servo.controller import Controller
 from softmap_edge.servo.recording import read_recording
@@ -26,7 +27,6 @@ from softmap_edge.teleop.drive import Drive
 from softmap_edge.teleop.eyes import Eyes, camera_eyes
 from softmap_edge.teleop.hand import View
 from softmap_edge.teleop.keys import Controls
-from softmap_edge.ticks import Calibration
 
 MODELS = (Path.home() / ".cache/softmap-tests/hand_landmarker.task", None)  # of the tests; where --fetch-model puts it
 RATE = 100.0  # periods a second

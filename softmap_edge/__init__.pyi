@@ -2,9 +2,6 @@
 
 from softmap_edge._core import effects as effects
 from softmap_edge.adaptation import adapt as adapt
-from softmap_edge.bundle import builtin_model as builtin_model
-from softmap_edge.bundle import load_bundle as load_bundle
-from softmap_edge.bundle import save_bundle as save_bundle
 from softmap_edge.diagnosis.comparison import Comparison as Comparison
 from softmap_edge.diagnosis.comparison import compare as compare
 from softmap_edge.diagnosis.diagnose import diagnose as diagnose
@@ -17,9 +14,12 @@ from softmap_edge.experiment.choose import next_experiment as next_experiment
 from softmap_edge.logs.guess import guess_mapping as guess_mapping
 from softmap_edge.logs.importer import import_logs as import_logs
 from softmap_edge.logs.mapping import read_mapping as read_mapping
-from softmap_edge.model import Model as Model
-from softmap_edge.own_effect import forget_effect as forget_effect
-from softmap_edge.own_effect import load_effect as load_effect
+from softmap_edge.model.bundle import builtin_model as builtin_model
+from softmap_edge.model.bundle import load_bundle as load_bundle
+from softmap_edge.model.bundle import save_bundle as save_bundle
+from softmap_edge.model.model import Model as Model
+from softmap_edge.model.user_effect import forget_effect as forget_effect
+from softmap_edge.model.user_effect import load_effect as load_effect
 from softmap_edge.report.html import write_html as write_html
 from softmap_edge.residual import learn_residual as learn_residual
 from softmap_edge.rod.learn import learn_model as learn_model

@@ -27,7 +27,7 @@ from softmap_edge.registration.register import register
 from softmap_edge.residual import ROWS, learn_residual
 
 if TYPE_CHECKING:
-    from softmap_edge.model import Model
+    from softmap_edge.model.model import Model
     from softmap_edge.run.run import Run
 
 SCHEMA = "softmap.adaptation/1"

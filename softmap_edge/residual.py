@@ -25,14 +25,14 @@ from numpy.typing import NDArray
 
 from softmap_edge.elsewhere.scattered import fit_scattered, half_range
 from softmap_edge.errors import SoftmapError
-from softmap_edge.outside import span
+from softmap_edge.model.shapes import family_from
+from softmap_edge.model.training_range import span
+from softmap_edge.model.views import laid
 from softmap_edge.run.folds import Folds, run_folds
 from softmap_edge.run.run import known
-from softmap_edge.shape_arrays import family_from
-from softmap_edge.views import laid
 
 if TYPE_CHECKING:
-    from softmap_edge.model import Arrays, Model
+    from softmap_edge.model.model import Arrays, Model
     from softmap_edge.run.run import Run
 
 Floats = NDArray[np.float64]

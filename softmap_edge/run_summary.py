@@ -18,14 +18,14 @@ from softmap_edge.diagnosis.frame_clock import frame_clock
 from softmap_edge.diagnosis.lost import REMEDY, without_lost
 from softmap_edge.diagnosis.unanswered import unanswered
 from softmap_edge.files.numbers import folded
+from softmap_edge.model.servo_calibration import converted
+from softmap_edge.model.views import laid
 from softmap_edge.registration.clouds import with_depth
 from softmap_edge.report.advice_text import advice_lines
 from softmap_edge.run.conditions import HOME, conditions, orientations
 from softmap_edge.run.contents import command_ranges, rounded
 from softmap_edge.run.rollover import roll_overs_of
 from softmap_edge.run.run import BASE_MARKERS, DAMAGE, NO_COMMANDS, OURS, Run, known, text_in
-from softmap_edge.ticks import converted
-from softmap_edge.views import laid
 
 SCHEMA = "softmap.check/1"
 FAR = 2.0  # of the extent of what is seen: farther from the origin is no base frame

@@ -5,11 +5,11 @@ from contextlib import contextmanager
 import numpy as np
 
 from softmap_edge import _core
+from softmap_edge.model.servo_calibration import Calibration
 from softmap_edge.servo.bus import patiently
 from softmap_edge.servo.limits import loop_limits, servo_limits
 from softmap_edge.servo.proof import set_mark
 from softmap_edge.servo.rig import Rig, RigServo
-from softmap_edge.ticks import Calibration
 
 MODEL, NUMBER, BAUD, HOME = "XL330-M288", 1200, 1_000_000, 2000
 WINDOW = (-900.0, 900.0)

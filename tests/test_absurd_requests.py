@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from softmap_edge import _core
-from softmap_edge.bundle import builtin_model, load_bundle, save_bundle
 from softmap_edge.cli import main
 from softmap_edge.errors import BundleError, FingerError, SoftmapError
 from softmap_edge.files.atomic import write_whole
 from softmap_edge.files.npz import read_npz, write_npz
+from softmap_edge.model.bundle import builtin_model, load_bundle, save_bundle
 from softmap_edge.run.run import Run
 from softmap_edge.solid.finger import Finger
 from softmap_edge.solid.simulator import Simulator
@@ -88,7 +88,7 @@ def test_a_bundle_of_numbers_beyond_any_robot_is_refused(file, value, tmp_path):
 def replaced(folder, name, content):
     """Write other arrays into a bundle and put its hash right."""
     before = (folder / "manifest.json").read_text()
-    from softmap_edge.bundle import _sha256
+    from softmap_edge.model.bundle import _sha256
 
     old = _sha256(folder / name)
     write_npz(folder / name, content)

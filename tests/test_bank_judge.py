@@ -13,7 +13,7 @@ from benches.bank.judge_family import by_family, names_alike
 from benches.bank.judge_learned import together
 from benches.bank.work import decided
 from softmap_edge.diagnosis import decision
-from softmap_edge.learned_in import LearnedIn
+from softmap_edge.model.learned_in import LearnedIn
 
 ALIKE = {name: {name} for name in ("backlash", "friction", "gain", "eccentric_pulley", "latency", "creep", "dead_zone")}
 ALIKE["gain"].add("tendon_stretch")

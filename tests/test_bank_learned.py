@@ -10,7 +10,7 @@ from benches.bank.judge_learned import judge_learned, together
 from benches.bank.laws_shop import SheathFriction
 from benches.bank.learned import Capture, balls, circles, learned_case, reference, uncubed_mm
 from benches.bank.make import made
-from softmap_edge.learned_in import Alternative, LearnedIn
+from softmap_edge.model.learned_in import Alternative, LearnedIn
 
 
 def test_a_capture_moves_and_turns_the_frame_and_nothing_else():

@@ -8,12 +8,12 @@ from laws import slot
 from test_diagnosis import finger_run
 
 from softmap_edge import _core, builtin_model
-from softmap_edge.bundle import load_bundle, save_bundle
 from softmap_edge.diagnosis.evidence import shown, unseen
 from softmap_edge.diagnosis.fit import Problem
-from softmap_edge.diagnosis.layout import ranges_of
 from softmap_edge.diagnosis.prepare import problem_of
 from softmap_edge.diagnosis.records import record_of
+from softmap_edge.model.bundle import load_bundle, save_bundle
+from softmap_edge.model.parameter_layout import ranges_of
 from softmap_edge.motion.kinematics import Kinematics
 from softmap_edge.run.run import Run
 

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from softmap_edge.bundle import builtin_model, load_bundle, save_bundle
 from softmap_edge.errors import BundleError, SoftmapError
+from softmap_edge.model.bundle import builtin_model, load_bundle, save_bundle
 from softmap_edge.run.run import Run
 from softmap_edge.solid.build import build_model
 from softmap_edge.solid.finger import Finger

@@ -8,11 +8,11 @@ import pytest
 from rigs import BAUD, HOME, MODEL, angles, bench, torque
 from typist import typist
 
-from softmap_edge.bundle import builtin_model, load_bundle
 from softmap_edge.cli import main
 from softmap_edge.commands import servo_calibrate
 from softmap_edge.commissioning.first_calibration import CALIPER, COUPLING, bench_calibration, bends, radius
 from softmap_edge.errors import CalibrationError
+from softmap_edge.model.bundle import builtin_model, load_bundle
 from softmap_edge.servo.combined import combined
 from softmap_edge.servo.rig import Rig, RigServo
 

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from softmap_edge.bundle import builtin_model
 from softmap_edge.diagnosis.diagnose import diagnose
+from softmap_edge.model.bundle import builtin_model
 from softmap_edge.registration.register import register
 from softmap_edge.run.protocol import standard_protocol
 from softmap_edge.run.run import ROLL_SEEN, Run

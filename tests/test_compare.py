@@ -11,8 +11,8 @@ from softmap_edge import builtin_model, diagnose
 from softmap_edge.diagnosis.comparison import Comparison, compare
 from softmap_edge.diagnosis.series import series
 from softmap_edge.errors import ComparisonError, RunError
+from softmap_edge.model.training_range import elsewhere
 from softmap_edge.noise.floor import noise_floor
-from softmap_edge.outside import elsewhere
 from softmap_edge.run.conditions import cells, conditions
 from softmap_edge.run.run import Run
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from softmap_edge.bundle import builtin_model
+from softmap_edge.model.bundle import builtin_model
 from softmap_edge.run.run import Run
 from softmap_edge.solid.finger import Finger
 from softmap_edge.solid.simulator import Simulator

@@ -7,9 +7,9 @@ import pytest
 from test_learned_memory import arc, recorded, wander
 
 from softmap_edge import Run, diagnose, learn_model, load_bundle, save_bundle
-from softmap_edge.coverage import LARGER, Coverage
 from softmap_edge.errors import BundleError, SoftmapError
-from softmap_edge.outside import beyond
+from softmap_edge.model.coverage import LARGER, Coverage
+from softmap_edge.model.training_range import beyond
 
 
 def diagonal(n=400, seed=0):

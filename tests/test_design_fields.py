@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from softmap_edge import _core
-from softmap_edge.bundle import builtin_model, load_bundle, save_bundle
 from softmap_edge.diagnosis.diagnose import diagnose
 from softmap_edge.errors import FingerError, SoftmapError
 from softmap_edge.files.npz import unpacked
-from softmap_edge.model import Model
+from softmap_edge.model.bundle import builtin_model, load_bundle, save_bundle
+from softmap_edge.model.model import Model
 from softmap_edge.run.run import Run
 from softmap_edge.solid.finger import Finger
 from softmap_edge.solid.simulator import Simulator

@@ -29,8 +29,8 @@ from softmap_edge.diagnosis.findings import (
     read,
 )
 from softmap_edge.errors import ReportError, SoftmapError
-from softmap_edge.learned_in import Alternative as LearnedAlternative
-from softmap_edge.learned_in import LearnedIn, LearnedNumber
+from softmap_edge.model.learned_in import Alternative as LearnedAlternative
+from softmap_edge.model.learned_in import LearnedIn, LearnedNumber
 
 GAP = Number(0.62, 0.013, "mm", True, None)
 WHOLE = Diagnosis(

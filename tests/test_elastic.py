@@ -11,7 +11,7 @@ from softmap_edge import Robot, _core, compare, diagnose, learn_model, load_bund
 from softmap_edge import save_bundle as save
 from softmap_edge.cli import main
 from softmap_edge.errors import RobotError, RunError, SoftmapError
-from softmap_edge.rod.elastic import ElasticParameters
+from softmap_edge.model.elastic_rod import ElasticParameters
 from softmap_edge.rod.learn import learn
 from softmap_edge.run.folds import folds
 

@@ -12,8 +12,8 @@ from softmap_edge import Diagnosis, _core, builtin_model, diagnose, learn_model,
 from softmap_edge import save_bundle as save
 from softmap_edge.cli import main
 from softmap_edge.errors import SoftmapError
-from softmap_edge.model import Model
-from softmap_edge.rod.elastic import ROUTING, ElasticParameters, Layout
+from softmap_edge.model.elastic_rod import ROUTING, ElasticParameters, Layout
+from softmap_edge.model.model import Model
 from softmap_edge.rod.learn import learned_model
 from softmap_edge.run.run import Run
 

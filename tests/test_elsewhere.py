@@ -14,7 +14,7 @@ from softmap_edge import Run, build_model, diagnose, load_bundle, save_bundle
 from softmap_edge.cli import main
 from softmap_edge.elsewhere.build import model_from_file
 from softmap_edge.errors import SoftmapError
-from softmap_edge.outside import beyond
+from softmap_edge.model.training_range import beyond
 from softmap_edge.solid.build import grid_axes
 from softmap_edge.solid.finger import Finger
 from softmap_edge.solid.simulator import Simulator

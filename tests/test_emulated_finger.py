@@ -17,11 +17,11 @@ from softmap_edge.cli import main
 from softmap_edge.commissioning import setup
 from softmap_edge.emulated.finger import FRAMES, EmulatedFinger, hidden_laws
 from softmap_edge.emulated.tendon_load import NOMINAL, tendon_loads
+from softmap_edge.model.shapes import plain_table
 from softmap_edge.servo.bus import opened
 from softmap_edge.servo.controller import Controller
 from softmap_edge.servo.limits import loop_limits, servo_limits
 from softmap_edge.servo.rig import read_rig
-from softmap_edge.shape_arrays import plain_table
 from softmap_edge.truth_laws import LAWS, Law
 from softmap_edge.truth_named import NAMED
 from softmap_edge.truth_stream import streamed

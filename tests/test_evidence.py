@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from softmap_edge import _core
-from softmap_edge.bundle import builtin_model
 from softmap_edge.diagnosis.decision import ODDS_BASE, ODDS_DOUBT
 from softmap_edge.diagnosis.diagnose import diagnose
 from softmap_edge.diagnosis.evidence import (
@@ -21,6 +20,7 @@ from softmap_edge.diagnosis.evidence import (
 from softmap_edge.diagnosis.fits import Fits
 from softmap_edge.diagnosis.prepare import problem_of
 from softmap_edge.diagnosis.record import Record
+from softmap_edge.model.bundle import builtin_model
 from softmap_edge.run.protocol import standard_protocol
 from softmap_edge.run.run import Run
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from softmap_edge import _core
-from softmap_edge.bundle import builtin_model
 from softmap_edge.commands.demo import trial
+from softmap_edge.model.bundle import builtin_model
 from softmap_edge.run.protocol import other_protocol
 from softmap_edge.truth import hide
 from softmap_edge.truth_laws import LAWS

@@ -10,7 +10,7 @@ import pytest
 from command import SOFTMAP, interruptible
 
 from softmap_edge import Run, builtin_model
-from softmap_edge.own_effect import template
+from softmap_edge.model.user_effect import template
 from softmap_edge.run.protocol import standard_protocol
 
 STOPPED = 2.0  # s after the signal, on a busy machine; the work itself takes minutes

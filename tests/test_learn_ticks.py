@@ -14,9 +14,9 @@ from softmap_edge import Run, compare, diagnose, learn_model, save_bundle
 from softmap_edge.alignment.calibration import calibrate
 from softmap_edge.cli import main
 from softmap_edge.errors import RunError
+from softmap_edge.model.servo_calibration import converted
 from softmap_edge.motion.kinematics import Kinematics
 from softmap_edge.run.rest_command import home_command
-from softmap_edge.ticks import converted
 
 CASE = Path(__file__).parent / "data/learn_from_ticks/ticks.csv"
 

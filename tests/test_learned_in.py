@@ -7,7 +7,7 @@ from test_learned_memory import recorded
 
 from softmap_edge import learn_model, load_bundle, save_bundle
 from softmap_edge.errors import BundleError, SoftmapError
-from softmap_edge.learned_in import Alternative, LearnedIn, LearnedNumber, read_learned_in
+from softmap_edge.model.learned_in import Alternative, LearnedIn, LearnedNumber, read_learned_in
 
 RECORD = LearnedIn(
     name="backlash",
@@ -76,6 +76,6 @@ def test_a_bundle_whose_record_was_tampered_with_is_refused(tmp_path):
 
 
 def test_a_model_of_a_simulator_was_learned_with_nothing():
-    from softmap_edge.bundle import builtin_model
+    from softmap_edge.model.bundle import builtin_model
 
     assert builtin_model().learned_in == () and builtin_model().coverage is None

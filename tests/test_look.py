@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from softmap_edge import _core
-from softmap_edge.bundle import builtin_model, save_bundle
 from softmap_edge.cli import main
 from softmap_edge.files.npz import read_npz
+from softmap_edge.model.bundle import builtin_model, save_bundle
 from softmap_edge.run.run import Run
 
 

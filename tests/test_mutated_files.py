@@ -144,8 +144,8 @@ def shapes_sample(folder):
 def scattered_bundle_sample(folder):
     from robots import arc, rings
 
-    from softmap_edge.bundle import save_bundle
     from softmap_edge.elsewhere.build import model_from_file
+    from softmap_edge.model.bundle import save_bundle
 
     u = np.random.default_rng(0).uniform(-5, 5, (25, 2))
     np.savez(folder / "sweep.npz", command=u, vertices=arc(u, *rings(4, 7)))
@@ -153,13 +153,13 @@ def scattered_bundle_sample(folder):
 
 
 def bundle_sample(folder):
-    from softmap_edge.bundle import builtin_model, save_bundle
+    from softmap_edge.model.bundle import builtin_model, save_bundle
 
     return save_bundle(builtin_model(), folder / "bundle")
 
 
 def residual_sample(folder):
-    from softmap_edge.bundle import builtin_model, save_bundle
+    from softmap_edge.model.bundle import builtin_model, save_bundle
 
     model, rng = builtin_model(), np.random.default_rng(0)
     residual = {
@@ -177,8 +177,8 @@ def own_effect_sample(folder):
     """A bundle with a user's effect, whose code counts how often it was run."""
     import builtins
 
-    from softmap_edge.bundle import builtin_model, save_bundle
-    from softmap_edge.own_effect import load_effect, template
+    from softmap_edge.model.bundle import builtin_model, save_bundle
+    from softmap_edge.model.user_effect import load_effect, template
 
     builtins.runs = 0
     (folder / "mine.py").write_text(f"import builtins\nbuiltins.runs += 1\n{template('mine')}")
@@ -188,7 +188,7 @@ def own_effect_sample(folder):
 
 
 def elastic_sample(folder):
-    from softmap_edge.bundle import save_bundle
+    from softmap_edge.model.bundle import save_bundle
     from softmap_edge.rod.learn import learn_model
     from softmap_edge.rod.robot import Robot
     from softmap_edge.run.run import Run
@@ -250,7 +250,7 @@ def use_rig(path):
 
     from rigs import calibration
 
-    from softmap_edge.bundle import builtin_model
+    from softmap_edge.model.bundle import builtin_model
     from softmap_edge.servo.combined import combined
     from softmap_edge.servo.rig import read_rig
 
@@ -262,8 +262,8 @@ def use_rig(path):
 
 
 def use_diagnosis(path):
-    from softmap_edge.bundle import builtin_model
     from softmap_edge.diagnosis.document import Diagnosis
+    from softmap_edge.model.bundle import builtin_model
 
     found = Diagnosis.load(path)
     str(found)
@@ -296,7 +296,7 @@ def use_shapes(path):
 
 
 def use_bundle(path):
-    from softmap_edge.bundle import load_bundle
+    from softmap_edge.model.bundle import load_bundle
     from softmap_edge.run.run import Run
 
     model = load_bundle(path)

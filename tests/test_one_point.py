@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from softmap_edge.bundle import load_bundle
 from softmap_edge.cli import main
+from softmap_edge.model.bundle import load_bundle
 from softmap_edge.run.run import Run
 
 U = np.linspace(-4.0, 4.0, 9)[:, None]

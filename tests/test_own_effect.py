@@ -9,7 +9,7 @@ import pytest
 from softmap_edge import Run, _core, builtin_model, diagnose, refit, save_bundle
 from softmap_edge.cli import main
 from softmap_edge.errors import EffectError, SoftmapError
-from softmap_edge.own_effect import forget_effect, load_effect, loaded, template
+from softmap_edge.model.user_effect import forget_effect, load_effect, loaded, template
 
 EXAMPLE = Path(__file__).parents[1] / "examples/off_centre_pulley.py"
 

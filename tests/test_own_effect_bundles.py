@@ -10,7 +10,7 @@ from test_own_effect import effect, entered, forgotten, record, written
 from softmap_edge import Run, builtin_model, load_bundle, save_bundle
 from softmap_edge.cli import main
 from softmap_edge.errors import BundleError
-from softmap_edge.own_effect import forget_effect, load_effect, loaded
+from softmap_edge.model.user_effect import forget_effect, load_effect, loaded
 
 nobody_elses_library = pytest.fixture(autouse=True)(forgotten)
 here = pytest.fixture(entered)

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from rigs import BAUD, HOME, MODEL, bench, calibration, torque
 
-from softmap_edge.bundle import builtin_model, save_bundle
 from softmap_edge.cli import main
 from softmap_edge.commands.progress import Bar
 from softmap_edge.commissioning.jog import Held, Jog
 from softmap_edge.commissioning.pull import LEAST_READ, MARGIN, _stand, pull
 from softmap_edge.errors import ServoError
+from softmap_edge.model.bundle import builtin_model, save_bundle
 from softmap_edge.servo.ceiling import Ceiling
 from softmap_edge.servo.combined import IDLE, combined
 from softmap_edge.servo.rig import Rig, RigServo, read_rig

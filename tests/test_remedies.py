@@ -5,7 +5,7 @@ from remedies import ROOT, commands, fault, faults, named_in
 from remedy_cases import CASES
 
 from softmap_edge.cli import main
-from softmap_edge.own_effect import forget_effect, loaded
+from softmap_edge.model.user_effect import forget_effect, loaded
 
 
 @pytest.fixture(autouse=True)

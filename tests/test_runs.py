@@ -309,7 +309,7 @@ def test_a_stream_of_numbers_survives_any_byte_order(tmp_path):
 
 
 def test_check_and_show_take_a_bundle_too(tmp_path, capsys):
-    from softmap_edge.bundle import builtin_model, save_bundle
+    from softmap_edge.model.bundle import builtin_model, save_bundle
 
     folder = save_bundle(builtin_model(), tmp_path / "finger")
     assert main(["check", str(folder), "--json"]) == 0

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from softmap_edge import _core
-from softmap_edge.bundle import builtin_model, load_bundle, save_bundle
 from softmap_edge.errors import BundleError, SoftmapError
+from softmap_edge.model.bundle import builtin_model, load_bundle, save_bundle
+from softmap_edge.model.shapes import second_from
 from softmap_edge.run.run import Run
-from softmap_edge.shape_arrays import second_from
 from softmap_edge.solid.build import build_model
 from softmap_edge.solid.finger import Finger
 from softmap_edge.solid.simulator import Simulator

@@ -11,14 +11,14 @@ from test_diagnosis import finger_run
 from test_kinematics import T, circle, executed
 
 from softmap_edge import _core, builtin_model, refit
-from softmap_edge.bundle import load_bundle, save_bundle
-from softmap_edge.chain_labels import named, valued
 from softmap_edge.diagnosis.document import Diagnosis
 from softmap_edge.diagnosis.findings import Finding, Number
 from softmap_edge.diagnosis.fit import STEP, Problem
 from softmap_edge.diagnosis.prepare import problem_of
 from softmap_edge.diagnosis.records import record_of
 from softmap_edge.errors import SoftmapError
+from softmap_edge.model.bundle import load_bundle, save_bundle
+from softmap_edge.model.chain_labels import named, valued
 from softmap_edge.motion.kinematics import Kinematics
 
 SHARED = [name for name in BY_ROLE["channel"] if any(p["shared"] for p in EFFECTS[name]["parameters"])]

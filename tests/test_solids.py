@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from softmap_edge import Run, _core, builtin_model, load_bundle
-from softmap_edge.bundle import save_bundle
 from softmap_edge.cli import main
 from softmap_edge.elsewhere.summary import read_summary
 from softmap_edge.errors import FingerError, RunError, SoftmapError
+from softmap_edge.model.bundle import save_bundle
 from softmap_edge.solid.bodies import Block, Meshed
 from softmap_edge.solid.build import build_model
 from softmap_edge.solid.finger import Finger, Region, Tendon

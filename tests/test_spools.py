@@ -7,11 +7,11 @@ import pytest
 from test_diagnosis import finger_run
 
 from softmap_edge import Run, diagnose
-from softmap_edge.bundle import builtin_model
 from softmap_edge.diagnosis.document import Diagnosis
 from softmap_edge.diagnosis.record import Record
 from softmap_edge.diagnosis.spools import spool_of
-from softmap_edge.ticks import TURN, Calibration
+from softmap_edge.model.bundle import builtin_model
+from softmap_edge.model.servo_calibration import TURN, Calibration
 
 RADIUS = 4.6  # mm: a turn is 29 mm, the run sees 24 mm of it
 CANDIDATES = ["gain", "offset", "asymmetry", "dead_zone", "saturation", "eccentric_pulley", "backlash"]

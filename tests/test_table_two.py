@@ -8,8 +8,8 @@ import pytest
 
 from softmap_edge import SoftmapError, builtin_model, save_bundle
 from softmap_edge.cli import main
+from softmap_edge.model.shapes import family_from
 from softmap_edge.motion.table_two import OURS, PUBLISHED_ERRORS, RIVAL, UNDONE, table_two, text_of
-from softmap_edge.shape_arrays import family_from
 from softmap_edge.solid.simulator import Simulator
 from softmap_edge.truth_virtual import virtual_finger
 

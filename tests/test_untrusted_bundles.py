@@ -22,7 +22,7 @@ onnx = pytest.importorskip("onnx")
 
 from onnx import TensorProto, helper, numpy_helper  # noqa: E402
 
-import softmap_edge.network as network  # noqa: E402
+import softmap_edge.model.onnx as network  # noqa: E402
 from softmap_edge import _core, builtin_model, load_bundle, save_bundle  # noqa: E402
 from softmap_edge.cli import main  # noqa: E402
 from softmap_edge.errors import BundleError, SoftmapError  # noqa: E402
@@ -153,7 +153,7 @@ REACHING = {
 def bundle(tmp_path, content):
     """Write a bundle whose prior is that file, with right hashes; return its folder."""
     folder = tmp_path / "bundle"
-    shutil.copytree(Path(network.__file__).parent / "data" / "finger", folder)
+    shutil.copytree(Path(network.__file__).parents[1] / "data" / "finger", folder)
     (folder / "prior.onnx").write_bytes(content)
     arrays = {k: v for k, v in BASE.arrays["prior"].items() if k.startswith("cable")}
     write_npz(folder / "prior.npz", arrays)

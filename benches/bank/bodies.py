@@ -15,7 +15,7 @@ from benches.bank.laws_unknown import UNKNOWN
 from benches.bank.section import finger
 
 if TYPE_CHECKING:
-    from softmap_edge.model import Model
+    from softmap_edge.model.model import Model
 
 
 class Body(Protocol):

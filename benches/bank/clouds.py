@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from softmap_edge.model import Model
+from softmap_edge.model.model import Model
 from softmap_edge.registration.register import register
 from softmap_edge.run.protocol import Protocol
 from softmap_edge.run.run import Run

@@ -16,8 +16,8 @@ from benches.bank.store import Kept
 from benches.bank.work import off
 
 if TYPE_CHECKING:
-    from softmap_edge.learned_in import LearnedIn
-    from softmap_edge.model import Model
+    from softmap_edge.model.learned_in import LearnedIn
+    from softmap_edge.model.model import Model
 
 
 def judge_learned(case: Kept) -> dict[str, Any]:

@@ -31,7 +31,7 @@ from benches.bank.section import GRAVITY, Design, finger
 from softmap_edge import _core
 
 if TYPE_CHECKING:
-    from softmap_edge.model import Model
+    from softmap_edge.model.model import Model
 
 SWEEP = 41  # commands a channel of the shapes, as `softmap build` takes them,
 FIELDS = 13  # and of the fields
@@ -47,7 +47,7 @@ Change = Callable[[Design, Loads, float], tuple[Design, Loads]]
 def model() -> Model:
     """Return the model of the clean rod. Grams are allowed: a known weight was hung on."""
     from softmap_edge.elsewhere.build import model_from_file
-    from softmap_edge.shape_arrays import family_from, fields_from
+    from softmap_edge.model.shapes import family_from, fields_from
 
     made = model_from_file(stored("rod-sweep", (sources(), SWEEP, KNOWN), _sweep))
     names = [name for name in _core.FIELDS if name in changes()]

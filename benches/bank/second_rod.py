@@ -20,7 +20,7 @@ from benches.bank.law import Floats
 from benches.bank.rod import Loads, Poses, settle
 from benches.bank.section import Design, finger
 from softmap_edge import _core
-from softmap_edge.shape_arrays import pairs_of
+from softmap_edge.model.shapes import pairs_of
 
 NODES = 7  # commands a channel
 SOFT = 1e-4  # N/mm

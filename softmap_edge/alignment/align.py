@@ -29,7 +29,7 @@ from softmap_edge.run.plane import unmeasured
 from softmap_edge.run.run import Run, known
 
 if TYPE_CHECKING:
-    from softmap_edge.model import Model
+    from softmap_edge.model.model import Model
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]

@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from softmap_edge.alignment.departures import BESIDE, Departure
 from softmap_edge.alignment.held import Held
-from softmap_edge.ticks import Calibration
+from softmap_edge.model.servo_calibration import Calibration
 
 if TYPE_CHECKING:
-    from softmap_edge.model import Model
+    from softmap_edge.model.model import Model
 
 Floats = NDArray[np.float64]
 

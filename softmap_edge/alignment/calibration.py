@@ -30,14 +30,14 @@ from softmap_edge.alignment.map_fit import Sights, fit_map, turned_shapes
 from softmap_edge.alignment.matching import Matches, linearised, match
 from softmap_edge.errors import CalibrationError
 from softmap_edge.geometry.rigid import Pose
-from softmap_edge.leaning import gravity_seen, leans
-from softmap_edge.outside import elsewhere, unlike
+from softmap_edge.model.orientation import gravity_seen, leans
+from softmap_edge.model.servo_calibration import LARGEST, Calibration, held_in_ticks
+from softmap_edge.model.training_range import elsewhere, unlike
 from softmap_edge.registration.register import register
 from softmap_edge.run.run import Run, known
-from softmap_edge.ticks import LARGEST, Calibration, held_in_ticks
 
 if TYPE_CHECKING:
-    from softmap_edge.model import Model
+    from softmap_edge.model.model import Model
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]

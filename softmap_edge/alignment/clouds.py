@@ -22,11 +22,11 @@ from softmap_edge.alignment.checks import student
 from softmap_edge.alignment.result import Alignment
 from softmap_edge.errors import AlignError
 from softmap_edge.geometry.rigid import Pose, jacobian, rotation, rotation_vector
-from softmap_edge.leaning import priors_in
+from softmap_edge.model.orientation import priors_in
 from softmap_edge.registration.clouds import clouds_of
 
 if TYPE_CHECKING:
-    from softmap_edge.model import Model
+    from softmap_edge.model.model import Model
     from softmap_edge.run.run import Run
 
 Floats = NDArray[np.float64]

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from softmap_edge.alignment.affine import Fit, fit
 from softmap_edge.alignment.held import Held
-from softmap_edge.ticks import TURN
+from softmap_edge.model.servo_calibration import TURN
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]

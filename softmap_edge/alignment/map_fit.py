@@ -22,10 +22,10 @@ from softmap_edge.alignment.affine import SETTLED, TUKEY, WIDER, weights
 from softmap_edge.alignment.departures import CLEAR, Departure
 from softmap_edge.alignment.held import Held, Seen
 from softmap_edge.alignment.matching import Shapes, weighted
-from softmap_edge.leaning import priors_in
+from softmap_edge.model.orientation import priors_in
 
 if TYPE_CHECKING:
-    from softmap_edge.model import Model
+    from softmap_edge.model.model import Model
     from softmap_edge.run.run import Run
 
 Floats = NDArray[np.float64]

@@ -19,13 +19,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.geometry.rigid import rotation
-from softmap_edge.leaning import priors_in
+from softmap_edge.model.orientation import priors_in
+from softmap_edge.model.views import members, roll_seen, without_roll
 from softmap_edge.run.run import known
-from softmap_edge.views import members, roll_seen, without_roll
 
 if TYPE_CHECKING:
-    from softmap_edge.model import Model
-    from softmap_edge.predictors import Shape
+    from softmap_edge.model.model import Model
+    from softmap_edge.model.predictors import Shape
     from softmap_edge.run.run import Run
 
 Floats = NDArray[np.float64]

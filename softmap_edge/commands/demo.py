@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from softmap_edge.bundle import builtin_model, save_bundle
 from softmap_edge.commands.progress import Ticker
 from softmap_edge.diagnosis.comparison import Comparison, compare
 from softmap_edge.diagnosis.diagnose import diagnose
@@ -21,7 +20,8 @@ from softmap_edge.diagnosis.document import Diagnosis
 from softmap_edge.diagnosis.series import series
 from softmap_edge.errors import ReportError, SoftmapError
 from softmap_edge.files.numbers import fall
-from softmap_edge.model import Model
+from softmap_edge.model.bundle import builtin_model, save_bundle
+from softmap_edge.model.model import Model
 from softmap_edge.report.html import write_html
 from softmap_edge.run.protocol import Protocol, other_protocol, standard_protocol
 from softmap_edge.run.run import Run

@@ -16,7 +16,7 @@ from softmap_edge.errors import RunError, SoftmapError
 from softmap_edge.experiment.recorded import open_run
 from softmap_edge.files.atomic import read_document
 from softmap_edge.files.npz import write_npz
-from softmap_edge.own_effect import check_hashes
+from softmap_edge.model.user_effect import check_hashes
 
 BOTH = (
     "  play it twice ({:.1f} minutes in all): as the run was, and as the reference run was; then\n"

@@ -6,9 +6,9 @@ import argparse
 import sys
 from pathlib import Path
 
-from softmap_edge.bundle import check_folder
 from softmap_edge.errors import BundleError, SoftmapError
 from softmap_edge.files.npz import archive_names
+from softmap_edge.model.bundle import check_folder
 
 
 def check_file(option: str, path: str | None, suffix: str = "", *, new: bool = False) -> None:

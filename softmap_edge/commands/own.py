@@ -6,10 +6,10 @@ import argparse
 import sys
 from pathlib import Path
 
-from softmap_edge.bundle import builtin_model, load_bundle
 from softmap_edge.errors import SoftmapError
-from softmap_edge.model import Model
-from softmap_edge.own_effect import load_effect
+from softmap_edge.model.bundle import builtin_model, load_bundle
+from softmap_edge.model.model import Model
+from softmap_edge.model.user_effect import load_effect
 
 _trust_onnx: list[bool] = []  # the value of --trust-onnx, for this process like the effects of --effects
 

@@ -15,7 +15,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from softmap_edge.bundle import save_bundle
 from softmap_edge.camera.frames import Seen
 from softmap_edge.commands.output import check_bundle, check_file, check_no_run, to_stderr
 from softmap_edge.commands.own import open_model
@@ -28,7 +27,8 @@ from softmap_edge.experiment.command_file import read_commands
 from softmap_edge.experiment.kept import SEEN, Keeper, read_kept
 from softmap_edge.experiment.pace import Pace, pace
 from softmap_edge.experiment.play import Player, merged
-from softmap_edge.model import Model
+from softmap_edge.model.bundle import save_bundle
+from softmap_edge.model.model import Model
 from softmap_edge.run.protocol import Protocol
 from softmap_edge.run.run import Run
 from softmap_edge.servo.bench import Bench, read_bench

@@ -15,12 +15,12 @@ from softmap_edge.commands.own import effects_argument
 from softmap_edge.emulated.finger import emulated_bench, hidden_laws
 from softmap_edge.errors import SoftmapError
 from softmap_edge.experiment.kept import seen_file
-from softmap_edge.model import Model
+from softmap_edge.model.model import Model
+from softmap_edge.model.servo_calibration import TICKS, TICKS_PER_MM, Calibration
 from softmap_edge.servo.bench import Bench, read_bench
 from softmap_edge.servo.controller import Controller
 from softmap_edge.servo.emergency_key import EmergencyKey
 from softmap_edge.servo.limits import RATE
-from softmap_edge.ticks import TICKS, TICKS_PER_MM, Calibration
 
 HOME = 2048.0
 

@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from softmap_edge.bundle import load_chain
 from softmap_edge.commands.output import check_file, check_kept, check_no_run
 from softmap_edge.commands.own import effects_argument, load_own, open_model
 from softmap_edge.elsewhere.summary import read_summary
@@ -21,8 +20,9 @@ from softmap_edge.experiment.recorded import open_incomplete, open_run
 from softmap_edge.files.atomic import write_whole
 from softmap_edge.files.npz import read_npz
 from softmap_edge.logs.importer import import_logs, read_mapping
-from softmap_edge.manifest import load_manifest
-from softmap_edge.own_effect import loaded
+from softmap_edge.model.bundle import load_chain
+from softmap_edge.model.manifest import load_manifest
+from softmap_edge.model.user_effect import loaded
 from softmap_edge.report.advice_text import effect_lines
 from softmap_edge.run.run import Run
 from softmap_edge.run_summary import SCHEMA, sentences, summary

@@ -6,14 +6,14 @@ import argparse
 import json
 from dataclasses import replace
 
-from softmap_edge.bundle import save_bundle
 from softmap_edge.commands.commissioning import confirm, deadman, hold_argument, tell
 from softmap_edge.commands.output import bundle_arguments, check_bundle, to_stderr
 from softmap_edge.commands.own import effects_argument, load_own, open_model
 from softmap_edge.commissioning.first_calibration import COUPLING, bench_calibration, bends, document, radius
 from softmap_edge.commissioning.jog import Jog
 from softmap_edge.errors import CalibrationError, ServoError
-from softmap_edge.model import Model
+from softmap_edge.model.bundle import save_bundle
+from softmap_edge.model.model import Model
 from softmap_edge.servo.rig import Rig, read_rig
 
 JOGGED = 200.0  # ticks: seen, and within what a jog may do

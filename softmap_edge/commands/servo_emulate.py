@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Any
 
 from softmap_edge import _core
-from softmap_edge.bundle import save_bundle
 from softmap_edge.camera.points_udp import PointSender
 from softmap_edge.commands.output import check_bundle, check_file, to_stderr
 from softmap_edge.commands.own import effects_argument, load_own, open_model
@@ -29,7 +28,8 @@ from softmap_edge.emulated.finger import (
     hidden_laws,
 )
 from softmap_edge.errors import ServoError, SoftmapError
-from softmap_edge.model import Model
+from softmap_edge.model.bundle import save_bundle
+from softmap_edge.model.model import Model
 from softmap_edge.servo.models import servo_model
 from softmap_edge.servo.rig import MOST_SERVOS, Rig, RigServo, read_rig
 from softmap_edge.signed_udp import read_key, udp_address

@@ -16,7 +16,7 @@ from softmap_edge.commands.seeing import camera_arguments
 from softmap_edge.errors import SoftmapError, no_name
 from softmap_edge.experiment.recorded import open_run
 from softmap_edge.files.atomic import write_whole
-from softmap_edge.own_effect import check_hashes
+from softmap_edge.model.user_effect import check_hashes
 
 RESIDUAL = "residual"
 NUMBERS = {
@@ -236,7 +236,7 @@ def _refit_finger(args: argparse.Namespace) -> int:
 
 def warn_outside(verb: str, model: Any, run: Any) -> None:
     """Tell on stderr, beside any document, where a run leaves the commands or the frame of the model."""
-    from softmap_edge.outside import beyond, elsewhere
+    from softmap_edge.model.training_range import beyond, elsewhere
     from softmap_edge.run.plane import plane_of
 
     plane = plane_of(run)
@@ -286,7 +286,7 @@ def _dropped(model: Any) -> dict[str, Any]:
 
 
 def _write(args: argparse.Namespace, model: Any, report: dict[str, Any]) -> int:
-    from softmap_edge.bundle import save_bundle
+    from softmap_edge.model.bundle import save_bundle
 
     folder = save_bundle(model, args.out)
     params = model.params

@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 
 from softmap_edge.commissioning.home import NEAR
 from softmap_edge.errors import CalibrationError, ServoError
-from softmap_edge.model import Model
+from softmap_edge.model.model import Model
+from softmap_edge.model.servo_calibration import TURN, Calibration
 from softmap_edge.servo.proof import no_home
 from softmap_edge.servo.rig import Rig
-from softmap_edge.ticks import TURN, Calibration
 
 Floats = NDArray[np.float64]
 

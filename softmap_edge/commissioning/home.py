@@ -18,12 +18,12 @@ from numpy.typing import NDArray
 from softmap_edge import _core
 from softmap_edge.commissioning.jog import most_travel
 from softmap_edge.errors import ServoError
+from softmap_edge.model.servo_calibration import TURN
 from softmap_edge.servo.bus import heard, opened
 from softmap_edge.servo.conditions import jogs
 from softmap_edge.servo.examined import examined, members, refusal
 from softmap_edge.servo.proof import marked, set_mark
 from softmap_edge.servo.rig import FARTHEST, Rig, RigServo
-from softmap_edge.ticks import TURN
 
 NEAR = 150  # ticks from the stored home that a straight finger may stand: half a mm on a spool of 2.2 mm
 STEADY = 4  # ticks that an encoder may flicker while the finger stands; the play of an XM is 3

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.errors import GuardStopped, ServoError
+from softmap_edge.model.servo_calibration import Calibration
 from softmap_edge.servo import words
 from softmap_edge.servo.bus import opened
 from softmap_edge.servo.combined import of_bench
@@ -28,7 +29,6 @@ from softmap_edge.servo.limits import JOG_SLEW, Table, loop_limits, servo_limits
 from softmap_edge.servo.models import servo_model
 from softmap_edge.servo.proof import forget, marked
 from softmap_edge.servo.rig import FARTHEST, Rig
-from softmap_edge.ticks import Calibration
 
 Ticks = NDArray[np.float64]
 

@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from softmap_edge.coverage import apart, said_apart
 from softmap_edge.diagnosis.collinear import collinear_conditions, tied_channels
+from softmap_edge.model.coverage import apart, said_apart
 from softmap_edge.noise.floor import commanded, noise_of_points
 from softmap_edge.noise.repeats import LONG_DWELL
 from softmap_edge.run.conditions import STILL, Conditions, conditions, last_direction, orientations

@@ -20,8 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.alignment.result import base_markers
-from softmap_edge.diagnosis.layout import Layout
 from softmap_edge.geometry.rigid import kabsch
+from softmap_edge.model.parameter_layout import Layout
 from softmap_edge.run.run import Run
 
 Floats = NDArray[np.float64]

@@ -24,11 +24,11 @@ from softmap_edge.diagnosis.remembered import centred, remembered
 from softmap_edge.errors import RunError
 from softmap_edge.geometry.rigid import kabsch, rotation_vector
 from softmap_edge.logs.plausible import doubts_of_time
-from softmap_edge.outside import beyond
+from softmap_edge.model.training_range import beyond
 from softmap_edge.run.conditions import conditions
 
 if TYPE_CHECKING:
-    from softmap_edge.model import Model
+    from softmap_edge.model.model import Model
     from softmap_edge.run.run import Run
 
 Floats = NDArray[np.float64]

@@ -20,13 +20,13 @@ from numpy.typing import NDArray
 from softmap_edge.diagnosis.findings import Bin
 from softmap_edge.diagnosis.lost import without_lost
 from softmap_edge.errors import ComparisonError
+from softmap_edge.model.views import members, roll_seen, without_roll
 from softmap_edge.noise.floor import BOUND, commanded, memoryless_floor, noise_floor, rms
 from softmap_edge.run.conditions import Cell, cells, conditions
 from softmap_edge.run.run import Run, known
-from softmap_edge.views import members, roll_seen, without_roll
 
 if TYPE_CHECKING:
-    from softmap_edge.model import Model
+    from softmap_edge.model.model import Model
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]

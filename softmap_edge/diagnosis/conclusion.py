@@ -45,11 +45,11 @@ from softmap_edge.diagnosis.prepare import load_seen
 from softmap_edge.diagnosis.record import Record
 from softmap_edge.diagnosis.separate import mended, next_blocks, refits
 from softmap_edge.diagnosis.wording import OwnMisfit, at_bounds, sentence_of, unconfirmed, verdict_of
+from softmap_edge.model.user_effect import hashes
 from softmap_edge.noise.floor import noise_of_runs
 from softmap_edge.noise.memoryless import repeats_of
 from softmap_edge.noise.motion_at_rest import MotionAtRest
 from softmap_edge.noise.noise_model import motion_left
-from softmap_edge.own_effect import hashes
 from softmap_edge.run.folds import labelled
 
 Floats = NDArray[np.float64]

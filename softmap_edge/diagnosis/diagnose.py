@@ -43,13 +43,13 @@ from softmap_edge.diagnosis.sound import sound_record, stray
 from softmap_edge.diagnosis.taught import Taught, with_unknown
 from softmap_edge.diagnosis.wording import OwnMisfit
 from softmap_edge.errors import SoftmapError
-from softmap_edge.learned_in import LearnedNumber
-from softmap_edge.outside import BEYOND
+from softmap_edge.model.learned_in import LearnedNumber
+from softmap_edge.model.servo_calibration import converted
+from softmap_edge.model.training_range import BEYOND
 from softmap_edge.run.folds import withheld
-from softmap_edge.ticks import converted
 
 if TYPE_CHECKING:
-    from softmap_edge.model import Model
+    from softmap_edge.model.model import Model
     from softmap_edge.run.run import Run
 
 Floats = NDArray[np.float64]

@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from softmap_edge import _core
-from softmap_edge.chain_labels import readings, valued
 from softmap_edge.diagnosis.findings import (
     Alternative,
     ErrorLadder,
@@ -29,14 +28,15 @@ from softmap_edge.diagnosis.findings import (
     plain,
     read,
 )
-from softmap_edge.diagnosis.layout import ranges_of
 from softmap_edge.diagnosis.spools import RADIUS
 from softmap_edge.errors import ReportError, SoftmapError, brief
 from softmap_edge.files.atomic import read_document
-from softmap_edge.learned_in import LearnedIn
+from softmap_edge.model.chain_labels import readings, valued
+from softmap_edge.model.learned_in import LearnedIn
+from softmap_edge.model.parameter_layout import ranges_of
 
 if TYPE_CHECKING:
-    from softmap_edge.model import Model
+    from softmap_edge.model.model import Model
 
 SCHEMA, BEFORE = "softmap.diagnosis/2", "softmap.diagnosis/1"
 VERDICTS = {

@@ -14,16 +14,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from softmap_edge.chain_labels import differing, named
 from softmap_edge.diagnosis.base_motion import FRAME, BaseMotion, base_of, bounded
-from softmap_edge.diagnosis.layout import Layout, layout_of, ranges_of
 from softmap_edge.diagnosis.paired import Replay, pair
 from softmap_edge.diagnosis.spools import RADIUS, Spool, spool_of, with_radius
 from softmap_edge.errors import SoftmapError
+from softmap_edge.model.chain_labels import differing, named
+from softmap_edge.model.parameter_layout import Layout, layout_of, ranges_of
+from softmap_edge.model.servo_calibration import converted
+from softmap_edge.model.views import laid
 from softmap_edge.run.conditions import Conditions, conditions
 from softmap_edge.run.plane import unmeasured_parameters
-from softmap_edge.ticks import converted
-from softmap_edge.views import laid
 
 if TYPE_CHECKING:
     from softmap_edge.run.run import Run

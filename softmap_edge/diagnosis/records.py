@@ -16,9 +16,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from softmap_edge.diagnosis.layout import Layout
 from softmap_edge.diagnosis.record import Forms, Record
 from softmap_edge.errors import SoftmapError
+from softmap_edge.model.parameter_layout import Layout
 from softmap_edge.run.conditions import Conditions
 
 if TYPE_CHECKING:

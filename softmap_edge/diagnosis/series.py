@@ -17,7 +17,7 @@ from softmap_edge.noise.floor import BOUND, commanded, noise_floor
 from softmap_edge.run.conditions import conditions
 
 if TYPE_CHECKING:
-    from softmap_edge.model import Model
+    from softmap_edge.model.model import Model
     from softmap_edge.run.output import Output
     from softmap_edge.run.run import Run
 

@@ -31,15 +31,15 @@ from softmap_edge.diagnosis.record import Record
 from softmap_edge.diagnosis.records import record_of
 from softmap_edge.diagnosis.remembered import catches_up, remembered
 from softmap_edge.errors import RunError
+from softmap_edge.model.servo_calibration import converted
 from softmap_edge.noise.floor import noise_of_points
 from softmap_edge.noise.repeats import LEAST_DWELL, undrifted
 from softmap_edge.run.conditions import conditions
 from softmap_edge.run.folds import LEAST_FRAMES
 from softmap_edge.run.run import known
-from softmap_edge.ticks import converted
 
 if TYPE_CHECKING:
-    from softmap_edge.model import Model
+    from softmap_edge.model.model import Model
     from softmap_edge.run.run import Run
 
 Floats = NDArray[np.float64]

@@ -17,9 +17,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from softmap_edge.diagnosis.layout import Layout
+from softmap_edge.model.parameter_layout import Layout
+from softmap_edge.model.servo_calibration import TURN, Calibration
 from softmap_edge.run.run import Run, spool_radius
-from softmap_edge.ticks import TURN, Calibration
 
 Floats = NDArray[np.float64]
 

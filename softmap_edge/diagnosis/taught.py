@@ -21,7 +21,7 @@ from softmap_edge.diagnosis.record import Record
 from softmap_edge.run.conditions import orientations
 
 if TYPE_CHECKING:
-    from softmap_edge.model import Model
+    from softmap_edge.model.model import Model
     from softmap_edge.run.run import Run
 
 WHY = "the model was learned from this run, so its static map contains what was static in the robot then"

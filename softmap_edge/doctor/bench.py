@@ -32,7 +32,7 @@ SCAN = "run `softmap servo scan --rig FILE`"
 
 def bundle(folder: str | Path) -> Iterator[Line]:
     """A bundle: whether it loads, and holds what a robot needs."""
-    from softmap_edge.bundle import load_bundle
+    from softmap_edge.model.bundle import load_bundle
 
     try:
         model = load_bundle(folder)
@@ -59,7 +59,7 @@ def bundle(folder: str | Path) -> Iterator[Line]:
 
 def limits(file: str | Path, folder: str | Path) -> Iterator[Line]:
     """A finger on its bench: whether limits follow that the guard takes; nothing where one of the two was at fault."""
-    from softmap_edge.bundle import load_bundle
+    from softmap_edge.model.bundle import load_bundle
 
     try:
         bench, model = read_rig(file), load_bundle(folder)
@@ -133,7 +133,7 @@ def _stops(bench: Rig) -> Iterator[Line]:
 
 def _asked(bench: Rig, folder: str | Path | None) -> list[Member]:
     """Return the requirements for each servo: from the limits in force if they are known, else from the rig alone."""
-    from softmap_edge.bundle import load_bundle
+    from softmap_edge.model.bundle import load_bundle
 
     if folder is not None:
         with contextlib.suppress(SoftmapError, OSError):

@@ -27,9 +27,9 @@ from softmap_edge.elsewhere.sweep_file import ShapeSweep, is_own_sweep, is_shape
 from softmap_edge.errors import SweepError, brief
 from softmap_edge.geometry.centreline import Centreline, farthest, find_centreline
 from softmap_edge.geometry.sections import tip_of
-from softmap_edge.model import NOMINAL, Arrays, Model
-from softmap_edge.safety import derived
-from softmap_edge.shape_arrays import family_from, fields_from
+from softmap_edge.model.model import NOMINAL, Arrays, Model
+from softmap_edge.model.safety import derived
+from softmap_edge.model.shapes import family_from, fields_from
 from softmap_edge.solid.build import FIELD_STEPS, Progress, from_sweep, leading, simulator_of
 from softmap_edge.solid.simulator import Sweep, tensor_grid
 from softmap_edge.version import __version__

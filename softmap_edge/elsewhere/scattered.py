@@ -60,7 +60,7 @@ class ScatteredFit:
 
     @property
     def arrays(self) -> dict[str, NDArray[Any]]:
-        """What a family of shapes is made from, less its mean and modes (`shape_arrays.py`)."""
+        """What a family of shapes is made from, less its mean and modes (`model/shapes.py`)."""
         kept = {"nodes": self.nodes, "scale": self.scale, "coefficients": self.coefficients}
         return kept | {"power": np.array(self.power)}
 

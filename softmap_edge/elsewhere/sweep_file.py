@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 
 from softmap_edge.errors import SweepError
 from softmap_edge.files.npz import archive_names, read_npz
-from softmap_edge.outside import BEYOND
+from softmap_edge.model.training_range import BEYOND
 
 Floats = NDArray[np.float64]
 

@@ -23,7 +23,8 @@ from softmap_edge.camera.frames import Frame
 from softmap_edge.commissioning.setup import Found, gains, set_up
 from softmap_edge.emulated.tendon_load import tendon_loads
 from softmap_edge.errors import ServoError
-from softmap_edge.model import Model
+from softmap_edge.model.model import Model
+from softmap_edge.model.servo_calibration import Calibration, tendon_mm
 from softmap_edge.run.rest_command import home_command
 from softmap_edge.servo.bus import opened
 from softmap_edge.servo.clock import REAL_TIME, Clock, PacedTime, SteppedTime
@@ -32,7 +33,6 @@ from softmap_edge.servo.limits import loop_limits, servo_limits
 from softmap_edge.servo.models import servo_model
 from softmap_edge.servo.proof import set_mark
 from softmap_edge.servo.rig import Rig, RigServo
-from softmap_edge.ticks import Calibration, tendon_mm
 from softmap_edge.truth import check_hidden
 from softmap_edge.truth_laws import LAWS, Law
 from softmap_edge.truth_named import NAMED

@@ -13,11 +13,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from softmap_edge.model import Model
+from softmap_edge.model.model import Model
+from softmap_edge.model.servo_calibration import TURN, Calibration, tendon_mm
+from softmap_edge.model.shapes import plain_table
 from softmap_edge.run.rest_command import home_command
 from softmap_edge.servo.models import Entry
-from softmap_edge.shape_arrays import plain_table
-from softmap_edge.ticks import TURN, Calibration, tendon_mm
 
 Floats = NDArray[np.float64]
 Load = list[tuple[float, float]]

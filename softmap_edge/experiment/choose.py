@@ -32,7 +32,7 @@ from softmap_edge.run.protocol import Limits, Protocol
 from softmap_edge.run.run import Run
 
 if TYPE_CHECKING:
-    from softmap_edge.model import Model
+    from softmap_edge.model.model import Model
 
 SETTLED = DETECTABLE**2  # chi² from which a question counts as settled: five standard deviations
 UNSEEN = 0.25  # worth of an effect that was not seen, over that of a pair of rivals

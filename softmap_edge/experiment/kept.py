@@ -28,7 +28,7 @@ import numpy as np
 
 from softmap_edge.camera.frames import Frame, HostClock, Seen
 from softmap_edge.errors import RecordingBroken, RunError
-from softmap_edge.model import Model
+from softmap_edge.model.model import Model
 
 SEEN = ".seen"  # ends the name of such a file, beside what the loop recorded
 SCHEMA, UNCHECKED = "softmap.seen/2", "softmap.seen/1"

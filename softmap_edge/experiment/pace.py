@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 
 from softmap_edge.camera.frames import Frame
 from softmap_edge.errors import SoftmapError
+from softmap_edge.model.servo_calibration import Calibration
 from softmap_edge.run.protocol import Protocol
-from softmap_edge.ticks import Calibration
 
 Floats = NDArray[np.float64]
 

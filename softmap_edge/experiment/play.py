@@ -20,7 +20,7 @@ from softmap_edge.errors import ServoError, SoftmapError
 from softmap_edge.experiment.kept import LATELY, Kept, Pair, vertices_of
 from softmap_edge.experiment.pace import PATIENCE, SPAN, Pace, condition, servos_still, view_still
 from softmap_edge.experiment.recorded import with_seen
-from softmap_edge.model import Model
+from softmap_edge.model.model import Model
 from softmap_edge.run.run import Run
 from softmap_edge.servo import words
 from softmap_edge.servo.controller import Controller

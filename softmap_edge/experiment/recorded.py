@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 from softmap_edge.camera.frames import Frame, HostClock
 from softmap_edge.errors import RecordingWarning, RunError
 from softmap_edge.experiment.kept import read_kept, seen_file
-from softmap_edge.model import Model
+from softmap_edge.model.model import Model
+from softmap_edge.model.servo_calibration import TICKS, converted
 from softmap_edge.run.run import DAMAGE, Run
 from softmap_edge.servo.recording import Recording, read_recording
-from softmap_edge.ticks import TICKS, converted
 
 RECORDING = ".mcap"
 

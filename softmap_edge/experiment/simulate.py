@@ -33,7 +33,7 @@ from softmap_edge.run.protocol import Limits, Protocol
 from softmap_edge.run.run import Run
 
 if TYPE_CHECKING:
-    from softmap_edge.model import Model
+    from softmap_edge.model.model import Model
 
 Floats = NDArray[np.float64]
 

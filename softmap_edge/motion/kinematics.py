@@ -19,10 +19,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from softmap_edge import _core
-from softmap_edge.chain_labels import valued
 from softmap_edge.errors import SoftmapError
-from softmap_edge.model import Model
-from softmap_edge.predictors import tip
+from softmap_edge.model.chain_labels import valued
+from softmap_edge.model.model import Model
+from softmap_edge.model.predictors import tip
 from softmap_edge.run.rest_command import home_command
 
 Floats = NDArray[np.float64]

@@ -22,7 +22,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.errors import SoftmapError
-from softmap_edge.model import Model
+from softmap_edge.model.model import Model
+from softmap_edge.model.servo_calibration import Calibration
 from softmap_edge.motion.kinematics import AXES, Kinematics
 from softmap_edge.motion.track import Course, course, spread
 from softmap_edge.run.protocol import HANGING, Protocol
@@ -30,7 +31,6 @@ from softmap_edge.servo.limits import ACCELERATION, SLEW
 from softmap_edge.servo_ticks import PUBLISHED
 from softmap_edge.solid.finger import Finger
 from softmap_edge.solid.simulator import Simulator
-from softmap_edge.ticks import Calibration
 from softmap_edge.truth_laws import rotation
 from softmap_edge.truth_virtual import VirtualFinger, virtual_finger
 

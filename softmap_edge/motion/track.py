@@ -19,13 +19,13 @@ from numpy.typing import NDArray
 
 from softmap_edge.camera.frames import Frame, HostClock, Seen, on_host
 from softmap_edge.errors import SoftmapError
+from softmap_edge.model.servo_calibration import Calibration
 from softmap_edge.motion.curves import even, figure
 from softmap_edge.motion.kinematics import AXES, Kinematics, Plan, early
 from softmap_edge.motion.response import response_of
 from softmap_edge.motion.timing import timed
 from softmap_edge.servo.controller import Controller
 from softmap_edge.servo.recording import read_recording
-from softmap_edge.ticks import Calibration
 
 Floats = NDArray[np.float64]
 T = TypeVar("T")

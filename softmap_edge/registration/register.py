@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 
 from softmap_edge import _core
 from softmap_edge.errors import RegistrationError
-from softmap_edge.leaning import prior_in, priors_in
-from softmap_edge.model import Model
+from softmap_edge.model.model import Model
+from softmap_edge.model.orientation import prior_in, priors_in
 from softmap_edge.registration.clouds import clouds_of
 from softmap_edge.run.run import ROLL_SEEN, Run
 

@@ -18,9 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge import _core
-from softmap_edge.chain_labels import named, readings
-from softmap_edge.diagnosis.layout import REACH_MM
-from softmap_edge.learned_in import LearnedNumber
+from softmap_edge.model.chain_labels import named, readings
+from softmap_edge.model.learned_in import LearnedNumber
+from softmap_edge.model.parameter_layout import REACH_MM
 from softmap_edge.rod.descent import Term, descend
 from softmap_edge.rod.regression import Drive
 from softmap_edge.rod.static_map import StaticMap

@@ -19,13 +19,15 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from softmap_edge import _core
-from softmap_edge.coverage import Coverage, apart, said_apart
 from softmap_edge.diagnosis.base_motion import kept_places
 from softmap_edge.diagnosis.lost import without_lost
 from softmap_edge.errors import RunError, SoftmapError
-from softmap_edge.learned_in import LearnedIn
-from softmap_edge.model import NOMINAL, Model
-from softmap_edge.rod.elastic import ElasticParameters
+from softmap_edge.model.coverage import Coverage, apart, said_apart
+from softmap_edge.model.elastic_rod import ElasticParameters
+from softmap_edge.model.learned_in import LearnedIn
+from softmap_edge.model.model import NOMINAL, Model
+from softmap_edge.model.safety import derived
+from softmap_edge.model.servo_calibration import from_home
 from softmap_edge.rod.elastic_fit import fit_elastic, fit_for
 from softmap_edge.rod.polynomial import RodParameters, fit_polynomial
 from softmap_edge.rod.reference_run import Fitted, Number, Rod, Seen, observe
@@ -35,8 +37,6 @@ from softmap_edge.run.pieces import spans
 from softmap_edge.run.plane import plane_of
 from softmap_edge.run.rest_command import far_from_home
 from softmap_edge.run.run import HOME_TICKS, Run
-from softmap_edge.safety import derived
-from softmap_edge.ticks import from_home
 from softmap_edge.version import __version__
 
 if TYPE_CHECKING:

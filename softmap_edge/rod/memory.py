@@ -29,8 +29,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge import _core
-from softmap_edge.learned_in import Alternative, LearnedIn
-from softmap_edge.learned_in import Law as Certainty
+from softmap_edge.model.learned_in import Alternative, LearnedIn
+from softmap_edge.model.learned_in import Law as Certainty
 from softmap_edge.rod.law import FittedLaw, LawFit, law
 from softmap_edge.rod.reference_run import Seen
 from softmap_edge.rod.regression import Drive, standard_error

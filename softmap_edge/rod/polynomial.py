@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from softmap_edge import _core
 from softmap_edge.errors import RunError, SoftmapError
-from softmap_edge.model import TIP_PER_NEWTON
+from softmap_edge.model.model import TIP_PER_NEWTON
 from softmap_edge.rod.covered_folds import covered_folds, search_folds
 from softmap_edge.rod.memory import FEW_CHANNELS, FRAMES, Memory, find_memory, refined_memory
 from softmap_edge.rod.reference_run import Fitted, Seen

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from softmap_edge import _core
 from softmap_edge.errors import RunError
+from softmap_edge.model.servo_calibration import from_home
 from softmap_edge.rod.regression import SQUARES, Basis, Drive, Record, rms
 from softmap_edge.run.folds import Folds
 from softmap_edge.run.run import Run, Source, known
-from softmap_edge.ticks import from_home
 
 if TYPE_CHECKING:
     from softmap_edge.rod.memory import Memory

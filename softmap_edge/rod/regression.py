@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge import _core
-from softmap_edge.chain_labels import valued
+from softmap_edge.model.chain_labels import valued
 from softmap_edge.run.folds import Folds
 
 Floats = NDArray[np.float64]

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from softmap_edge.errors import RobotError, SoftmapError, brief
 from softmap_edge.files.toml import TomlTable
-from softmap_edge.rod.elastic import MODES, Coordinates, Layout
+from softmap_edge.model.elastic_rod import MODES, Coordinates, Layout
 
 Floats = NDArray[np.float64]
 

@@ -9,14 +9,14 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from softmap_edge.bundle import load_bundle
-from softmap_edge.model import Model
+from softmap_edge.model.bundle import load_bundle
+from softmap_edge.model.model import Model
+from softmap_edge.model.servo_calibration import Calibration
 from softmap_edge.motion.kinematics import Kinematics
 from softmap_edge.servo.combined import calibration_of, combined
 from softmap_edge.servo.controller import Controller
 from softmap_edge.servo.limits import RATE
 from softmap_edge.servo.rig import Rig, read_rig
-from softmap_edge.ticks import Calibration
 
 if TYPE_CHECKING:
     from softmap_edge.emulated.finger import EmulatedFinger

@@ -21,14 +21,14 @@ from numpy.typing import NDArray
 
 from softmap_edge import _core
 from softmap_edge.errors import LimitError, ServoError
-from softmap_edge.model import Model
-from softmap_edge.safety import Safety, derived, held_to
+from softmap_edge.model.model import Model
+from softmap_edge.model.safety import Safety, derived, held_to
+from softmap_edge.model.servo_calibration import TURN, Calibration
 from softmap_edge.servo.ceiling import AT_LEAST, RANGES
 from softmap_edge.servo.limits import COOL, RATE, Table, following, loop_limits, servo_limits, slowed, strongest
 from softmap_edge.servo.models import Entry, servo_model
 from softmap_edge.servo.proof import no_home
 from softmap_edge.servo.rig import Rig, RigServo
-from softmap_edge.ticks import TURN, Calibration
 
 Floats = NDArray[np.float64]
 

@@ -31,6 +31,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from softmap_edge import _core
 from softmap_edge.errors import GuardStopped, RecordingBroken, ServoError, SoftmapError
+from softmap_edge.model.servo_calibration import Calibration
 from softmap_edge.motion.kinematics import Kinematics
 from softmap_edge.servo import session_mark, words
 from softmap_edge.servo.bench_limits import check_bench
@@ -39,7 +40,6 @@ from softmap_edge.servo.ending import kept_words, numbers, running
 from softmap_edge.servo.known_state import gains_of
 from softmap_edge.servo.rig import Rig
 from softmap_edge.servo.watched import Watched
-from softmap_edge.ticks import Calibration
 from softmap_edge.version import __version__
 
 Floats = NDArray[np.float64]

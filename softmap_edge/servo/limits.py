@@ -11,7 +11,7 @@ from typing import Any
 
 from softmap_edge import _core
 from softmap_edge.errors import ServoError
-from softmap_edge.safety import BURST, HOLD, JUMP, RAMP, SLACKEN, STALE, TURNS_A_SECOND
+from softmap_edge.model.safety import BURST, HOLD, JUMP, RAMP, SLACKEN, STALE, TURNS_A_SECOND
 from softmap_edge.servo.conditions import JOG_TRAVEL
 from softmap_edge.servo.models import Entry, servo_model
 

@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 
 from softmap_edge import _core
 from softmap_edge.errors import CalibrationError, RunError, SoftmapError
+from softmap_edge.model.servo_calibration import Calibration
 from softmap_edge.run.run import CALIBRATION, Run
 from softmap_edge.servo import words
 from softmap_edge.servo.recording_damage import find_shortfall
-from softmap_edge.ticks import Calibration
 
 Document = dict[str, Any]
 SETUP, LOOP = "/setup", "/loop"

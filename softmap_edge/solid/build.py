@@ -18,10 +18,10 @@ from softmap_edge import _core
 from softmap_edge.errors import FingerError, SoftmapError
 from softmap_edge.files.npz import packed, unpacked
 from softmap_edge.geometry.sections import SECTIONS, sections_of, tip_of
-from softmap_edge.model import Arrays, Model
+from softmap_edge.model.model import Arrays, Model
+from softmap_edge.model.safety import derived
+from softmap_edge.model.shapes import cables_from, fields_from, pairs_of, plain_table, second_from, table_from
 from softmap_edge.run.run import Run
-from softmap_edge.safety import derived
-from softmap_edge.shape_arrays import cables_from, fields_from, pairs_of, plain_table, second_from, table_from
 from softmap_edge.solid.bodies import Meshed
 from softmap_edge.solid.doubts import doubts, lost_in_tendons
 from softmap_edge.solid.finger import Finger

@@ -10,7 +10,7 @@ import threading
 from dataclasses import dataclass
 from typing import Literal, Protocol
 
-from softmap_edge.safety import STALE
+from softmap_edge.model.safety import STALE
 
 Source = Literal["hand", "knob"]
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from softmap_edge.model import Model
+from softmap_edge.model.model import Model
 from softmap_edge.servo import words
 from softmap_edge.teleop.aim import Aim
 from softmap_edge.teleop.drive import Moment

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from softmap_edge.model import Model
-from softmap_edge.ticks import Calibration
+from softmap_edge.model.model import Model
+from softmap_edge.model.servo_calibration import Calibration
 
 Floats = NDArray[np.float64]
 

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.elsewhere.scattered import fit_scattered, half_range
-from softmap_edge.shape_arrays import family_from
+from softmap_edge.model.shapes import family_from
 from softmap_training import choices
 from softmap_training.errors import TrainingError
 

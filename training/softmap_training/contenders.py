@@ -18,8 +18,8 @@ from typing import Any
 import numpy as np
 
 from softmap_edge import _core
-from softmap_edge.model import Model
-from softmap_edge.outside import untaught
+from softmap_edge.model.model import Model
+from softmap_edge.model.training_range import untaught
 from softmap_training import baselines, choices
 from softmap_training.chamfer import thinned
 from softmap_training.deepsoro import fit_deepsoro

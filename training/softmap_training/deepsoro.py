@@ -112,7 +112,7 @@ def to_graph(network: Folding) -> bytes:
     """Return the ONNX file of a decoder: commands (n, C) → points (n, 3N) mm.
 
     A layer of (grid point, code) is one of the grid point plus one of the code, so that nothing is laid side by side.
-    It is no chain of layers: the core does not read it, onnxruntime does (`softmap_edge.network`).
+    It is no chain of layers: the core does not read it, onnxruntime does (`softmap_edge.model.onnx`).
     """
     graph = Graph()
     graph.add("Sub", _numbers(network.middle_u))

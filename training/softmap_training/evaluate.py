@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from softmap_edge import _core
 from softmap_edge.alignment.clouds import base_stood_off, in_base
-from softmap_edge.model import Model
+from softmap_edge.model.model import Model
 from softmap_edge.registration.clouds import clouds_of
 from softmap_edge.registration.register import register
 from softmap_edge.run.run import Run

@@ -17,7 +17,7 @@ from softmap_edge.commands.progress import Bar
 from softmap_edge.errors import SoftmapError
 from softmap_edge.experiment.recorded import open_run
 from softmap_edge.files.npz import read_npz
-from softmap_edge.outside import beyond, unlike
+from softmap_edge.model.training_range import beyond, unlike
 from softmap_edge.run.run import Run
 from softmap_edge.version import __version__
 from softmap_training import choices

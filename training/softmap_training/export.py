@@ -16,7 +16,7 @@ from onnx import TensorProto, helper, numpy_helper
 from torch import nn
 
 from softmap_edge import _core
-from softmap_edge.network import AGREE_MM, run_elsewhere
+from softmap_edge.model.onnx import AGREE_MM, run_elsewhere
 from softmap_training.errors import TrainingError
 from softmap_training.networks import Modes, Scale
 

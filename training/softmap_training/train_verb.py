@@ -57,7 +57,7 @@ def train(args: argparse.Namespace) -> int:
         raise TrainingError(f"--epochs {args.epochs}: give 1 to 1000000")
     if args.seed is not None and not 0 <= args.seed < 2**32:
         raise TrainingError(f"--seed {args.seed}: give 0 to 4294967295")
-    from softmap_edge.bundle import save_bundle
+    from softmap_edge.model.bundle import save_bundle
 
     check_bundle(args.out, args.force)
     load_own(args)

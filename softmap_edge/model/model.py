@@ -17,24 +17,25 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from softmap_edge import _core, views
-from softmap_edge.chain_labels import named, readings, spread, valued
-from softmap_edge.coverage import Coverage
+from softmap_edge import _core
 from softmap_edge.errors import SoftmapError
 from softmap_edge.geometry.sections import Body, FeatureMap, marker_features, section_features, upright
-from softmap_edge.learned_in import LearnedIn, read_learned_in
-from softmap_edge.outside import check_commands
-from softmap_edge.predictors import Contact, Shape, stations, tip, whole
+from softmap_edge.model import views
+from softmap_edge.model.chain_labels import named, readings, spread, valued
+from softmap_edge.model.coverage import Coverage
+from softmap_edge.model.learned_in import LearnedIn, read_learned_in
+from softmap_edge.model.predictors import Contact, Shape, stations, tip, whole
+from softmap_edge.model.servo_calibration import Calibration, converted
+from softmap_edge.model.shapes import family_from
+from softmap_edge.model.training_range import check_commands
 from softmap_edge.run.output import Output
 from softmap_edge.run.pieces import spans
 from softmap_edge.run.plane import flat
-from softmap_edge.shape_arrays import family_from
-from softmap_edge.ticks import Calibration, converted
 
 if TYPE_CHECKING:
-    from softmap_edge.rod.elastic import Change, ElasticParameters
+    from softmap_edge.model.elastic_rod import Change, ElasticParameters
+    from softmap_edge.model.safety import Safety
     from softmap_edge.run.run import Run
-    from softmap_edge.safety import Safety
 
 Floats = NDArray[np.float64]
 Arrays = dict[str, NDArray[np.generic]]
@@ -294,7 +295,7 @@ class Model:
         """The elastic rod that the prior is, if a run has told some of its numbers."""
         if "free" not in self.arrays.get("prior", {}):
             return None
-        from softmap_edge.rod.elastic import ElasticParameters
+        from softmap_edge.model.elastic_rod import ElasticParameters
 
         return ElasticParameters.from_arrays(self.arrays["prior"])
 

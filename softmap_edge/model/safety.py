@@ -21,10 +21,10 @@ from numpy.typing import NDArray
 from softmap_edge import _core
 from softmap_edge.errors import BundleError, SoftmapError
 from softmap_edge.files.toml import TomlTable, quoted
-from softmap_edge.shape_arrays import plain_table
+from softmap_edge.model.shapes import plain_table
 
 if TYPE_CHECKING:
-    from softmap_edge.model import Model
+    from softmap_edge.model.model import Model
 
 Floats = NDArray[np.float64]
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from softmap_edge import _core
 from softmap_edge.errors import SoftmapError
-from softmap_edge.model import TIP_PER_NEWTON
+from softmap_edge.model.model import TIP_PER_NEWTON
 
 Floats = NDArray[np.float64]
 Arrays = dict[str, NDArray[np.generic]]

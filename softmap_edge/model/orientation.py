@@ -17,8 +17,8 @@ from softmap_edge import _core
 from softmap_edge.run.run import Run
 
 if TYPE_CHECKING:
-    from softmap_edge.model import Model
-    from softmap_edge.predictors import Shape
+    from softmap_edge.model.model import Model
+    from softmap_edge.model.predictors import Shape
 
 Floats = NDArray[np.float64]
 Rows = NDArray[np.intp]

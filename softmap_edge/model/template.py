@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from softmap_edge.errors import BundleError
 from softmap_edge.geometry.sections import SECTIONS, Body
-from softmap_edge.model import Arrays, Model
+from softmap_edge.model.model import Arrays, Model
 
 MOST_POINTS = {"vertices": 50_000, "markers": 1000}  # a feature map holds a weight for each of them
 

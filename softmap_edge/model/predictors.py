@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 
 from softmap_edge import _core
 from softmap_edge.geometry.sections import FeatureMap
-from softmap_edge.network import tabulated
+from softmap_edge.model.onnx import tabulated
 
 if TYPE_CHECKING:
-    from softmap_edge.model import Model
+    from softmap_edge.model.model import Model
 
 Floats = NDArray[np.float64]
 Shape = Any  # a compiled shape: _core.Table, _core.Rod, _core.RodField

@@ -17,11 +17,11 @@ from numpy.typing import NDArray
 from softmap_edge import _core
 from softmap_edge.errors import RunError
 from softmap_edge.geometry.sections import FeatureMap, attach, marker_features, other_unit, seen_residual
-from softmap_edge.predictors import projected
+from softmap_edge.model.predictors import projected
 from softmap_edge.run.run import ROLL_SEEN, Run
 
 if TYPE_CHECKING:
-    from softmap_edge.model import Model
+    from softmap_edge.model.model import Model
 
 Floats = NDArray[np.float64]
 

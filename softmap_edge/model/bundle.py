@@ -1,7 +1,7 @@
 """The bundle: the folder that carries a model from one machine to another. Nothing in it is run unasked.
 
 manifest.json   schema version, kind of prior, units, hashes, own held-out error, what made it; of a learned model
-                `made_from` has `runs` (their hashes) and `learned_in` (`learned_in.py`)
+                `made_from` has `runs` (their hashes) and `learned_in` (`model/learned_in.py`)
 prior.npz       the prior: a table (axes, coefficients, mean, modes), a scattered family (nodes, scale, power and
                 the rest as a table), or a rod with the `coverage_…` of the commands that it was learned from
 template.npz    rest points, triangles, tip, per-feature form error; section, along and angle of a body without a mesh;
@@ -36,20 +36,21 @@ from typing import Any
 
 import numpy as np
 
-from softmap_edge import _core, own_effect
-from softmap_edge.coverage import Coverage
+from softmap_edge import _core
 from softmap_edge.errors import BundleError, CalibrationError, SoftmapError, brief
 from softmap_edge.files.atomic import MOST_TEXT
 from softmap_edge.files.npz import read_npz, write_npz
-from softmap_edge.learned_in import read_learned_in
-from softmap_edge.manifest import LARGEST, check_within, finite_number, load_manifest, read_json
-from softmap_edge.model import Arrays, Model
-from softmap_edge.network import MOST_BYTES, read_network
+from softmap_edge.model import user_effect as own_effect
+from softmap_edge.model.coverage import Coverage
+from softmap_edge.model.learned_in import read_learned_in
+from softmap_edge.model.manifest import LARGEST, check_within, finite_number, load_manifest, read_json
+from softmap_edge.model.model import Arrays, Model
+from softmap_edge.model.onnx import MOST_BYTES, read_network
+from softmap_edge.model.safety import Safety, derived, read_safety
+from softmap_edge.model.servo_calibration import Calibration
+from softmap_edge.model.shapes import cables_from, family_from, fields_from, second_from
+from softmap_edge.model.template import template_arrays, template_from
 from softmap_edge.run.output import Output
-from softmap_edge.safety import Safety, derived, read_safety
-from softmap_edge.shape_arrays import cables_from, family_from, fields_from, second_from
-from softmap_edge.template_arrays import template_arrays, template_from
-from softmap_edge.ticks import Calibration
 from softmap_edge.version import __version__
 
 _MAX_BYTES = 256 << 20
@@ -202,7 +203,7 @@ def load_bundle(path: str | Path, trust: Trust | None = None, trust_onnx: bool |
 
 def builtin_model() -> Model:
     """Return the model of the built-in finger, which ships with the package."""
-    return load_bundle(Path(__file__).parent / "data" / "finger")
+    return load_bundle(Path(__file__).parents[1] / "data" / "finger")
 
 
 def _allow(file: Path, name: str, digest: str, trust: Trust | None) -> None:

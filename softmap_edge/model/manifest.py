@@ -11,8 +11,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from softmap_edge import own_effect
 from softmap_edge.errors import BundleError, brief
+from softmap_edge.model import user_effect as own_effect
 
 # 2: scattered families, bodies without a mesh; 3: own effects, fields of a design, steps; 4: a residual; 5: networks;
 # 6: a calibration, handles; 7: limits (safety.toml); 8: outputs that are no places

@@ -19,8 +19,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from softmap_edge.chain_labels import readings
 from softmap_edge.errors import SoftmapError
+from softmap_edge.model.chain_labels import readings
 
 Floats = NDArray[np.float64]
 

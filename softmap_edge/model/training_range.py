@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from softmap_edge.errors import RunError
 
 if TYPE_CHECKING:
-    from softmap_edge.model import Model
+    from softmap_edge.model.model import Model
     from softmap_edge.run.run import Run
 
 Floats = NDArray[np.float64]
