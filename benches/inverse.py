@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 
 from benches.network import paper_sized
 from benches.row import ratio, side_by_side
-from softmap_edge.motion.curves import even, figure
-from softmap_edge.motion.kinematics import Kinematics
+from softmap_edge.robot.motion.figures import even, figure
+from softmap_edge.robot.motion.kinematics import Kinematics
 
 Floats = NDArray[np.float64]
 

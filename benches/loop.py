@@ -15,10 +15,10 @@ import numpy as np
 
 from softmap_edge import _core
 from softmap_edge.model.servo_calibration import Calibration
-from softmap_edge.servo.controller import Controller
-from softmap_edge.servo.limits import loop_limits, servo_limits
-from softmap_edge.servo.proof import set_mark
-from softmap_edge.servo.rig import Rig, RigServo
+from softmap_edge.robot.control.controller import Controller
+from softmap_edge.robot.servo.home_mark import set_mark
+from softmap_edge.robot.servo.loop_limits import loop_limits, servo_limits
+from softmap_edge.robot.servo.rig import Rig, RigServo
 
 MODEL, NUMBER, HOME = "XM430-W350", 1020, 2048
 FAST, USUAL = (4_000_000, 1000.0), (1_000_000, 100.0)  # baud, periods a second

@@ -15,18 +15,18 @@ from pathlib import Path
 import numpy as np
 
 from benches.data import find
-from softmap_edge.emulated.finger import emulated_bench
 from softmap_edge.errors import SoftmapError
 from softmap_edge.model.bundle import builtin_model
 from softmap_edge.model.servo_calibration import Calibration
-from softmap_edge.motion.kinematics import Kinematics
-from softmap_edge.servo.controller import Controller
-from softmap_edge.servo.recording import read_recording
-from softmap_edge.teleop.aim import Direct
-from softmap_edge.teleop.drive import Drive
-from softmap_edge.teleop.eyes import Eyes, camera_eyes
-from softmap_edge.teleop.hand import View
-from softmap_edge.teleop.keys import Controls
+from softmap_edge.robot.control.controller import Controller
+from softmap_edge.robot.control.recording import read_recording
+from softmap_edge.robot.emulated.finger import emulated_bench
+from softmap_edge.robot.motion.kinematics import Kinematics
+from softmap_edge.robot.teleop.drive import Drive
+from softmap_edge.robot.teleop.hand import View
+from softmap_edge.robot.teleop.hand_source import Eyes, camera_eyes
+from softmap_edge.robot.teleop.keys import Controls
+from softmap_edge.robot.teleop.mapping import Direct
 
 MODELS = (Path.home() / ".cache/softmap-tests/hand_landmarker.task", None)  # of the tests; where --fetch-model puts it
 RATE = 100.0  # periods a second

@@ -18,13 +18,13 @@ from matplotlib.figure import Figure
 
 from softmap_edge import Model, Run, builtin_model, diagnose
 from softmap_edge.commands.robot import plain_map
-from softmap_edge.emulated.finger import emulated_bench, hidden_laws
-from softmap_edge.motion.kinematics import Kinematics
-from softmap_edge.motion.track import Course, Tracked, course, track
 from softmap_edge.report.figures import AFTER, BEFORE, INK, STYLE, WIDE, svg
+from softmap_edge.robot.control.controller import Controller
+from softmap_edge.robot.drive.track import Course, Tracked, course, track
+from softmap_edge.robot.emulated.finger import emulated_bench, hidden_laws
+from softmap_edge.robot.motion.kinematics import Kinematics
+from softmap_edge.robot.servo.loop_limits import ACCELERATION, SLEW
 from softmap_edge.run.protocol import standard_protocol
-from softmap_edge.servo.controller import Controller
-from softmap_edge.servo.limits import ACCELERATION, SLEW
 
 HIDDEN = ["backlash", "creep"]
 SEED, SIZE = 3, 0.6  # of what is hidden

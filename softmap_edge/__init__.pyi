@@ -22,11 +22,11 @@ from softmap_edge.model.user_effect import forget_effect as forget_effect
 from softmap_edge.model.user_effect import load_effect as load_effect
 from softmap_edge.report.html import write_html as write_html
 from softmap_edge.residual import learn_residual as learn_residual
+from softmap_edge.robot.open import open_robot as open_robot
 from softmap_edge.rod.learn import learn_model as learn_model
 from softmap_edge.rod.robot import Robot as Robot
 from softmap_edge.run.join import join_runs as join_runs
 from softmap_edge.run.run import Run as Run
-from softmap_edge.servo.bench import open_robot as open_robot
 from softmap_edge.solid.build import build_model as build_model
 from softmap_edge.solid.finger import Finger as Finger
 from softmap_edge.solid.simulator import Simulator as Simulator

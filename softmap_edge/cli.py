@@ -17,7 +17,7 @@ from softmap_edge.commands.parser import Parser
 from softmap_edge.commands.pipe import outliving
 from softmap_edge.errors import SoftmapError, no_name
 from softmap_edge.files.printable import PrintableStream, one_line
-from softmap_edge.hints import with_files
+from softmap_edge.robot.remedies import with_files
 from softmap_edge.version import __version__
 
 DONE, FAULT, WRONG_USE = 0, 1, 2

@@ -2,7 +2,8 @@
 
 **This module never calls the effect library**, nor the linear fields, nor a model's prior. The body is solved by the
 finite elements on another mesh with a modulus up to 10 % off; weights are solved there too; all other secrets are the
-separately written laws of `truth_laws.py`. What is seen are the template's material points, embedded in that solid.
+separately written laws of `robot/emulated/laws.py`. What is seen are the template's material points, embedded in that
+solid.
 
     command ─laws─> u ─finite elements (own mesh, modulus, true weights)─> points ─mount─> ─camera noise─> run
 
@@ -26,12 +27,12 @@ from numpy.typing import NDArray
 from softmap_edge import _core
 from softmap_edge.errors import SoftmapError, no_name
 from softmap_edge.geometry.sections import SECTIONS, sections_of
+from softmap_edge.robot.emulated.laws import LAWS, NEWTON_PER_GRAM, Law, rotation
+from softmap_edge.robot.emulated.named_laws import NAMED
 from softmap_edge.run.protocol import Protocol, standard_protocol
 from softmap_edge.run.run import Run
 from softmap_edge.solid.finger import Finger
 from softmap_edge.solid.simulator import Simulator, tour
-from softmap_edge.truth_laws import LAWS, NEWTON_PER_GRAM, Law, rotation
-from softmap_edge.truth_named import NAMED
 
 Floats = NDArray[np.float64]
 Vector = tuple[float, float, float]

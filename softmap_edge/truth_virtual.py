@@ -7,9 +7,9 @@ Beside the model it is the same solid of other elements (`solid/cut.py`; a mesh 
 drawn within ±20 % and Poisson's ratio 0.45, tendons turned about the axis by a drawn 3 to 6 degrees, friction that
 remembers (`truth_laws.BoucWen`) and a mounting that leans by up to 20 degrees, which the run declares to 2. Hidden
 effects come on top as in `truth.py`. **Never calls the effect library**, nor a model's prior or fields.
-The run holds what hardware gives: ticks told and read (`servo_ticks.py`, encoder noise of one tick), clouds, the
-declared gravity and camera noise; no command in mm and no vertex. Those go into the arrays of the truth, kept apart.
-Every frame is solved. Randomness only from the seeds. Pinned by tests/test_virtual.py.
+The run holds what hardware gives: ticks told and read (`robot/emulated/published_map.py`, encoder noise of one tick),
+clouds, the declared gravity and camera noise; no command in mm and no vertex. Those go into the arrays of the truth,
+kept apart. Every frame is solved. Randomness only from the seeds. Pinned by tests/test_virtual.py.
 """
 
 from __future__ import annotations
@@ -24,17 +24,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.errors import SoftmapError
+from softmap_edge.robot.emulated.laws import LAWS, BoucWen, Law, TrueWeight, rotation
+from softmap_edge.robot.emulated.named_laws import NAMED
+from softmap_edge.robot.emulated.published_map import PUBLISHED, ServoMap
 from softmap_edge.run.protocol import Protocol
 from softmap_edge.run.run import Run
-from softmap_edge.servo_ticks import PUBLISHED, ServoMap
 from softmap_edge.solid.bodies import Meshed
 from softmap_edge.solid.cut import Cut
 from softmap_edge.solid.finger import Finger, Tendon
 from softmap_edge.solid.simulator import Simulator, Template
 from softmap_edge.truth import Secret, Truth, Vector, check_hidden, different, hide, toured
 from softmap_edge.truth_clouds import TWO, DepthCameras
-from softmap_edge.truth_laws import LAWS, BoucWen, Law, TrueWeight, rotation
-from softmap_edge.truth_named import NAMED
 
 Floats = NDArray[np.float64]
 Arrays = dict[str, NDArray[Any]]

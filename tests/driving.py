@@ -9,14 +9,14 @@ from rigs import HOME, TICKS_PER_MM, angles, bench, calibration, torque
 
 from softmap_edge import builtin_model
 from softmap_edge.errors import TeleopError
-from softmap_edge.motion.kinematics import Kinematics
-from softmap_edge.servo.controller import Controller
-from softmap_edge.teleop.aim import Direct, Tip
-from softmap_edge.teleop.drive import Drive
-from softmap_edge.teleop.eyes import CameraEyes, NoEyes
-from softmap_edge.teleop.frames import Frame
-from softmap_edge.teleop.hand import Hand, View
-from softmap_edge.teleop.keys import Controls, Wish
+from softmap_edge.robot.control.controller import Controller
+from softmap_edge.robot.motion.kinematics import Kinematics
+from softmap_edge.robot.teleop.drive import Drive
+from softmap_edge.robot.teleop.frames import Frame
+from softmap_edge.robot.teleop.hand import Hand, View
+from softmap_edge.robot.teleop.hand_source import CameraEyes, NoEyes
+from softmap_edge.robot.teleop.keys import Controls, Wish
+from softmap_edge.robot.teleop.mapping import Direct, Tip
 
 MODEL = builtin_model()
 PATIENT = 15.0  # s: a busy machine

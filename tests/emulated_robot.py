@@ -6,7 +6,7 @@ from contextlib import contextmanager
 
 from command import SOFTMAP
 
-from softmap_edge.camera.points_udp import PointReceiver
+from softmap_edge.robot.link.points import PointReceiver
 
 
 @contextmanager

@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from softmap_edge.errors import TeleopError
-from softmap_edge.teleop.installed import libraries, processor
-from softmap_edge.teleop.model_file import KNOWN, WHEEL, check_model, fetch_model
+from softmap_edge.robot.teleop.model_file import KNOWN, WHEEL, check_model, fetch_model
+from softmap_edge.robot.teleop.requirements import libraries, processor
 
 CACHE = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "softmap-tests"
 

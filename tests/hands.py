@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from softmap_edge.teleop.hand import Hand
+from softmap_edge.robot.teleop.hand import Hand
 
 
 def hand(curl=0.0, sideways=0.0, side="right", folded=0.0):

@@ -14,8 +14,8 @@ import numpy as np
 from rigs import BAUD, MODEL, NUMBER, TICKS_PER_MM, angles, set_up
 
 from softmap_edge import _core
-from softmap_edge.servo.controller import REQUESTS
-from softmap_edge.servo.limits import loop_limits, servo_limits
+from softmap_edge.robot.control.controller import REQUESTS
+from softmap_edge.robot.servo.loop_limits import loop_limits, servo_limits
 
 STATES = ("off", "connected", "homed", "ready", "engaged", "hold", "safe_stop", "fault", "commissioning")
 LEADS_ON = dict(off="connect", connected="home", homed="arm", ready="engage", fault="acknowledge")
@@ -55,7 +55,7 @@ class Loop:
         setup |= dict(slope=(np.eye(2) / TICKS_PER_MM).reshape(-1).tolist(), b=[0.0, 0.0], home=HOMES)
         setup |= dict(homes=HOMES, gpio=None, heartbeat=None)
         self.process = subprocess.Popen(
-            [sys.executable, "-m", "softmap_edge.servo.loop", str(orders), str(reports)],
+            [sys.executable, "-m", "softmap_edge.robot.control.loop_process", str(orders), str(reports)],
             stdin=subprocess.PIPE,
             pass_fds=(orders, reports),
         )

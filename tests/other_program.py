@@ -9,7 +9,7 @@ import time
 import tty
 
 from softmap_edge import _core
-from softmap_edge.servo.bus import patiently
+from softmap_edge.robot.servo.bus import patiently
 
 HOLDS = "import os, sys, time; os.open(sys.argv[1], os.O_RDWR | os.O_NOCTTY); print('open', flush=True); time.sleep(60)"
 

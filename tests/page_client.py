@@ -8,7 +8,7 @@ import threading
 import time
 from contextlib import contextmanager, suppress
 
-from softmap_edge.teleop.page import Page
+from softmap_edge.robot.teleop.page import Page
 
 PATIENT = 20.0  # s: a busy machine
 STATE = {"t": 1.0, "level": "ready", "said": "Ready"}

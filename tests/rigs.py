@@ -6,10 +6,10 @@ import numpy as np
 
 from softmap_edge import _core
 from softmap_edge.model.servo_calibration import Calibration
-from softmap_edge.servo.bus import patiently
-from softmap_edge.servo.limits import loop_limits, servo_limits
-from softmap_edge.servo.proof import set_mark
-from softmap_edge.servo.rig import Rig, RigServo
+from softmap_edge.robot.servo.bus import patiently
+from softmap_edge.robot.servo.home_mark import set_mark
+from softmap_edge.robot.servo.loop_limits import loop_limits, servo_limits
+from softmap_edge.robot.servo.rig import Rig, RigServo
 
 MODEL, NUMBER, BAUD, HOME = "XL330-M288", 1200, 1_000_000, 2000
 WINDOW = (-900.0, 900.0)

@@ -6,9 +6,9 @@ from rigs import calibration
 
 from softmap_edge import builtin_model
 from softmap_edge.errors import TeleopError
-from softmap_edge.motion.kinematics import Kinematics
-from softmap_edge.teleop.aim import Direct, Tip
-from softmap_edge.teleop.sketch import Sketch
+from softmap_edge.robot.motion.kinematics import Kinematics
+from softmap_edge.robot.teleop.mapping import Direct, Tip
+from softmap_edge.robot.teleop.sketch import Sketch
 
 
 @pytest.fixture(scope="module")

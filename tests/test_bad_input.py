@@ -19,11 +19,11 @@ from rigs import HOME, NUMBER, TICKS_PER_MM, angles, bench, calibration, torque
 from softmap_edge import _core, builtin_model, save_bundle
 from softmap_edge.cli import main
 from softmap_edge.errors import ServoError
-from softmap_edge.servo import loop
-from softmap_edge.servo.controller import Controller
-from softmap_edge.servo.proof import set_mark
-from softmap_edge.servo.rig import RigServo
-from softmap_edge.teleop.frames import CameraFrames
+from softmap_edge.robot.control import loop_process as loop
+from softmap_edge.robot.control.controller import Controller
+from softmap_edge.robot.servo.home_mark import set_mark
+from softmap_edge.robot.servo.rig import RigServo
+from softmap_edge.robot.teleop.frames import CameraFrames
 
 PATIENCE = 10.0  # s, on a busy machine
 

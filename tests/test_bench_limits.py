@@ -6,9 +6,9 @@ import pytest
 from rigs import HOME, MODEL, WINDOW, bench, calibration
 
 from softmap_edge.errors import ServoError
-from softmap_edge.servo.ceiling import Ceiling
-from softmap_edge.servo.controller import Controller
-from softmap_edge.servo.limits import loop_limits, servo_limits
+from softmap_edge.robot.control.controller import Controller
+from softmap_edge.robot.servo.loop_limits import loop_limits, servo_limits
+from softmap_edge.robot.servo.rig_ceiling import Ceiling
 
 
 def test_limits_about_another_home_than_the_one_that_is_proved_are_refused():

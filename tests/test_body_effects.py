@@ -14,7 +14,7 @@ from softmap_edge.diagnosis.prepare import problem_of
 from softmap_edge.diagnosis.records import record_of
 from softmap_edge.model.bundle import load_bundle, save_bundle
 from softmap_edge.model.parameter_layout import ranges_of
-from softmap_edge.motion.kinematics import Kinematics
+from softmap_edge.robot.motion.kinematics import Kinematics
 from softmap_edge.run.run import Run
 
 MODEL = builtin_model()

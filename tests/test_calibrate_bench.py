@@ -10,11 +10,11 @@ from typist import typist
 
 from softmap_edge.cli import main
 from softmap_edge.commands import servo_calibrate
-from softmap_edge.commissioning.first_calibration import CALIPER, COUPLING, bench_calibration, bends, radius
 from softmap_edge.errors import CalibrationError
 from softmap_edge.model.bundle import builtin_model, load_bundle
-from softmap_edge.servo.combined import combined
-from softmap_edge.servo.rig import Rig, RigServo
+from softmap_edge.robot.commissioning.first_calibration import CALIPER, COUPLING, bench_calibration, bends, radius
+from softmap_edge.robot.servo.limits import combined
+from softmap_edge.robot.servo.rig import Rig, RigServo
 
 R = 2.33  # mm
 TICK = 2.0 * np.pi * R / 4096.0  # mm

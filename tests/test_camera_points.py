@@ -12,12 +12,12 @@ import pytest
 from page import blocks, lines
 from waiting import until
 
-from softmap_edge.camera import points_udp
-from softmap_edge.camera.frames import Frame, on_host
-from softmap_edge.camera.points_udp import MOST_POINTS, Message, PointReceiver, PointSender, packed, unpacked
 from softmap_edge.commands import VERBS
 from softmap_edge.errors import LinkError
-from softmap_edge.signed_udp import SILENCE, read_key, udp_address
+from softmap_edge.robot.link import points as points_udp
+from softmap_edge.robot.link.frames import Frame, on_host
+from softmap_edge.robot.link.points import MOST_POINTS, Message, PointReceiver, PointSender, packed, unpacked
+from softmap_edge.robot.link.session import SILENCE, read_key, udp_address
 
 KEY = bytes(range(32))
 POINTS = np.arange(12.0).reshape(4, 3)

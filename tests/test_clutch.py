@@ -2,9 +2,9 @@
 
 import pytest
 
-from softmap_edge.teleop.clutch import PATIENCE, Clutch
-from softmap_edge.teleop.keys import LAPSE, HeldKey, Wish
-from softmap_edge.terminal_keys import FIRST, REPEAT, RepeatedKey
+from softmap_edge.robot.servo.terminal import FIRST, REPEAT, RepeatedKey
+from softmap_edge.robot.teleop.clutch import PATIENCE, Clutch
+from softmap_edge.robot.teleop.keys import LAPSE, HeldKey, Wish
 
 
 def told(key, *said):

@@ -8,9 +8,9 @@ from page import blocks, lines
 
 from softmap_edge.cli import main
 from softmap_edge.commands.robot import plain_map
-from softmap_edge.emulated.finger import emulated_bench
 from softmap_edge.model.bundle import builtin_model, save_bundle
-from softmap_edge.servo.rig import read_rig
+from softmap_edge.robot.emulated.finger import emulated_bench
+from softmap_edge.robot.servo.rig import read_rig
 
 ROOT = Path(__file__).parents[1]
 PAGE = (ROOT / "docs/commission.md").read_text(encoding="utf-8")

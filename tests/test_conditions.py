@@ -7,12 +7,13 @@ from dataclasses import replace
 import pytest
 from rigs import BAUD, HOME, WINDOW, bench, calibration
 
-from softmap_edge import builtin_model, doctor, save_bundle
+from softmap_edge import builtin_model, save_bundle
 from softmap_edge.cli import main
 from softmap_edge.errors import ServoError
-from softmap_edge.servo.ceiling import Ceiling
-from softmap_edge.servo.conditions import jogs, outside, too_hot, undersupplied
-from softmap_edge.servo.controller import Controller
+from softmap_edge.robot import doctor
+from softmap_edge.robot.control.controller import Controller
+from softmap_edge.robot.servo.conditions import jogs, outside, too_hot, undersupplied
+from softmap_edge.robot.servo.rig_ceiling import Ceiling
 
 HOT = "is too hot: {} °C, allowed is below 65 °C"
 POWER = "has a supply voltage of {} V, allowed are 3.5 to 7 V"

@@ -16,9 +16,9 @@ from waiting import hold_for, until
 from softmap_edge import _core
 from softmap_edge.cli import main
 from softmap_edge.errors import ServoError
-from softmap_edge.servo.controller import Controller
-from softmap_edge.servo.limits import loop_limits, servo_limits
-from softmap_edge.servo.rig import Rig, RigServo, read_rig
+from softmap_edge.robot.control.controller import Controller
+from softmap_edge.robot.servo.loop_limits import loop_limits, servo_limits
+from softmap_edge.robot.servo.rig import Rig, RigServo, read_rig
 
 
 def test_follows_targets_and_ends_slack():
@@ -183,9 +183,9 @@ import signal, sys, time
 signal.signal(signal.SIGINT, signal.default_int_handler)  # whoever starts the tests in the background ignores it
 sys.path.insert(0, {tests!r})
 from rigs import calibration, WINDOW, MODEL, HOME, BAUD
-from softmap_edge.servo.controller import Controller
-from softmap_edge.servo.limits import loop_limits, servo_limits
-from softmap_edge.servo.rig import Rig, RigServo
+from softmap_edge.robot.control.controller import Controller
+from softmap_edge.robot.servo.loop_limits import loop_limits, servo_limits
+from softmap_edge.robot.servo.rig import Rig, RigServo
 rig = Rig({path!r}, BAUD, tuple(RigServo(id, MODEL, HOME) for id in (1, 2)))
 limits = loop_limits([servo_limits(MODEL, HOME, WINDOW)] * 2, 200.0, hold=0.4)
 with Controller(rig, calibration(), limits) as robot:

@@ -7,10 +7,10 @@ import pytest
 from rigs import calibration
 
 from softmap_edge import builtin_model
-from softmap_edge.motion.curves import even, figure
-from softmap_edge.motion.kinematics import Kinematics
-from softmap_edge.motion.track import course
-from softmap_edge.servo.limits import ACCELERATION, SLEW
+from softmap_edge.robot.drive.track import course
+from softmap_edge.robot.motion.figures import even, figure
+from softmap_edge.robot.motion.kinematics import Kinematics
+from softmap_edge.robot.servo.loop_limits import ACCELERATION, SLEW
 
 MODEL = builtin_model()
 REST = MODEL.tip(np.zeros((1, 2)))[0]

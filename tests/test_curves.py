@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from softmap_edge import SoftmapError
-from softmap_edge.motion.curves import FIGURES, even, figure
+from softmap_edge.robot.motion.figures import FIGURES, even, figure
 
 
 @pytest.mark.parametrize("name", FIGURES)

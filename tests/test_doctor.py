@@ -9,16 +9,17 @@ import pytest
 from ordinary_user import as_ordinary_user
 from rigs import HOME, MODEL, bench, calibration, torque
 
-from softmap_edge import _core, builtin_model, doctor, load_bundle, save_bundle
+from softmap_edge import _core, builtin_model, load_bundle, save_bundle
 from softmap_edge.cli import main
 from softmap_edge.commands.robot import tell_edited
-from softmap_edge.doctor import FAULT, OK, WARNING, host
-from softmap_edge.servo import emergency
-from softmap_edge.servo.bus import opened
-from softmap_edge.servo.combined import combined
-from softmap_edge.servo.proof import set_mark
-from softmap_edge.servo.rig import Rig, RigServo
-from softmap_edge.signed_udp import new_key
+from softmap_edge.robot import doctor
+from softmap_edge.robot.doctor import FAULT, OK, WARNING, host
+from softmap_edge.robot.link.session import new_key
+from softmap_edge.robot.servo import emergency
+from softmap_edge.robot.servo.bus import opened
+from softmap_edge.robot.servo.home_mark import set_mark
+from softmap_edge.robot.servo.limits import combined
+from softmap_edge.robot.servo.rig import Rig, RigServo
 
 
 def named(lines, name):

@@ -14,12 +14,12 @@ from rigs import HOME, TICKS_PER_MM, angles, bench, calibration, torque
 from waiting import hold_for, until
 
 from softmap_edge.errors import LinkError, ServoError
-from softmap_edge.servo import controller as controller_module
-from softmap_edge.servo.controller import Controller
-from softmap_edge.servo.emergency import Beats, Emergency, Line
-from softmap_edge.servo.heartbeat import BEAT, Heart
-from softmap_edge.servo.rig import read_rig
-from softmap_edge.signed_udp import new_key, read_key
+from softmap_edge.robot.control import controller as controller_module
+from softmap_edge.robot.control.controller import Controller
+from softmap_edge.robot.control.heartbeat import BEAT, Heart
+from softmap_edge.robot.link.session import new_key, read_key
+from softmap_edge.robot.servo.emergency import Beats, Emergency, Line
+from softmap_edge.robot.servo.rig import read_rig
 
 AT_HOME = 64  # ticks: so near the guard calls a servo home, a sixth of what it was sent
 TIMEOUT = 0.3  # s between beats at most: generous, since tests share a computer

@@ -15,15 +15,15 @@ from rigs import torque
 from typist import PATIENCE, typist
 
 from softmap_edge import builtin_model, save_bundle
-from softmap_edge.camera.points_udp import PointSender
 from softmap_edge.commands.robot import own_map
 from softmap_edge.commands.servo_emulate import streaming
-from softmap_edge.emulated.finger import emulated_bench
 from softmap_edge.experiment.blocks import chosen, plan
-from softmap_edge.experiment.command_file import write_commands
+from softmap_edge.robot.control.emergency_key import HELP, PRESSED
+from softmap_edge.robot.control.recording import read_recording
+from softmap_edge.robot.drive.command_file import write_commands
+from softmap_edge.robot.emulated.finger import emulated_bench
+from softmap_edge.robot.link.points import PointSender
 from softmap_edge.run.protocol import Limits
-from softmap_edge.servo.emergency_key import HELP, PRESSED
-from softmap_edge.servo.recording import read_recording
 
 AWAY = 120.0  # ticks from home: it is driven
 CAMERA = 5991
@@ -115,7 +115,7 @@ def test_in_the_background_the_terminal_is_not_read():
         import fcntl, os, sys, termios
         os.setsid()
         fcntl.ioctl(0, termios.TIOCSCTTY, 0)
-        from softmap_edge.terminal_keys import terminal
+        from softmap_edge.robot.servo.terminal import terminal
         front = terminal()
         if os.fork() == 0:
             os.setpgid(0, 0)

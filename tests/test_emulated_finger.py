@@ -12,19 +12,19 @@ from rigs import HOME, bench, calibration
 from waiting import hold_for, until
 
 from softmap_edge import SoftmapError, _core, builtin_model, load_bundle
-from softmap_edge.camera.frames import on_host
 from softmap_edge.cli import main
-from softmap_edge.commissioning import setup
-from softmap_edge.emulated.finger import FRAMES, EmulatedFinger, hidden_laws
-from softmap_edge.emulated.tendon_load import NOMINAL, tendon_loads
 from softmap_edge.model.shapes import plain_table
-from softmap_edge.servo.bus import opened
-from softmap_edge.servo.controller import Controller
-from softmap_edge.servo.limits import loop_limits, servo_limits
-from softmap_edge.servo.rig import read_rig
-from softmap_edge.truth_laws import LAWS, Law
-from softmap_edge.truth_named import NAMED
-from softmap_edge.truth_stream import streamed
+from softmap_edge.robot.commissioning import setup
+from softmap_edge.robot.control.controller import Controller
+from softmap_edge.robot.emulated.finger import FRAMES, EmulatedFinger, hidden_laws
+from softmap_edge.robot.emulated.laws import LAWS, Law
+from softmap_edge.robot.emulated.named_laws import NAMED
+from softmap_edge.robot.emulated.streamed_laws import streamed
+from softmap_edge.robot.emulated.tendon_load import NOMINAL, tendon_loads
+from softmap_edge.robot.link.frames import on_host
+from softmap_edge.robot.servo.bus import opened
+from softmap_edge.robot.servo.loop_limits import loop_limits, servo_limits
+from softmap_edge.robot.servo.rig import read_rig
 
 
 @pytest.fixture(scope="module")

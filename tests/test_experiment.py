@@ -8,7 +8,7 @@ import pytest
 from softmap_edge.cli import main
 from softmap_edge.errors import RunError, SoftmapError
 from softmap_edge.experiment.blocks import BLOCKS, Setting, chosen, plan
-from softmap_edge.experiment.command_file import read_commands, write_commands
+from softmap_edge.robot.drive.command_file import read_commands, write_commands
 from softmap_edge.run.protocol import HANGING, Limits, standard_protocol
 from softmap_edge.run.run import Run
 

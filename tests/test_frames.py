@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from softmap_edge.errors import TeleopError
-from softmap_edge.teleop import devices, frames
-from softmap_edge.teleop.frames import CameraFrames, FileFrames, UdpAddress, source
+from softmap_edge.robot.teleop import devices, frames
+from softmap_edge.robot.teleop.frames import CameraFrames, FileFrames, UdpAddress, source
 
 RATE, COUNT = 30, 30
 

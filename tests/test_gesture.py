@@ -8,7 +8,7 @@ import pytest
 from hands import hand, turned
 
 from softmap_edge.errors import TeleopError
-from softmap_edge.teleop.gesture import CLOSED, DWELL, GAP, OPEN, Deadman, Rule, openness
+from softmap_edge.robot.teleop.gesture import CLOSED, DWELL, GAP, OPEN, Deadman, Rule, openness
 
 PALM, FIST, BETWEEN = hand(), hand(folded=0.95), hand(folded=0.5)
 RULES = get_args(Rule)

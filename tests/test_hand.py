@@ -6,7 +6,7 @@ from hands import hand, turned
 
 from softmap_edge.commands.teleop import _flips
 from softmap_edge.errors import TeleopError
-from softmap_edge.teleop.hand import FARTHEST, SMALLEST, Hand, HandMap, View, in_pixels, projection
+from softmap_edge.robot.teleop.hand import FARTHEST, SMALLEST, Hand, HandMap, View, in_pixels, projection
 
 RANGE = [[-9.0, 9.0], [-6.0, 8.0]]
 

@@ -11,9 +11,9 @@ import pytest
 from softmap_edge import _core
 from softmap_edge.commands.demo import trial
 from softmap_edge.model.bundle import builtin_model
+from softmap_edge.robot.emulated.laws import LAWS
 from softmap_edge.run.protocol import other_protocol
 from softmap_edge.truth import hide
-from softmap_edge.truth_laws import LAWS
 
 SEED = 4  # the seed of `make test`: a batch that is 10 % softer
 PROVE_SEEDS = range(10)

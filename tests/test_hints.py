@@ -5,9 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from softmap_edge import doctor
-from softmap_edge.doctor.line import faulty
-from softmap_edge.hints import filled, parted
+from softmap_edge.robot import doctor
+from softmap_edge.robot.finding import faulty
+from softmap_edge.robot.remedies import filled, parted
 
 
 @pytest.mark.parametrize(
@@ -54,7 +54,7 @@ def test_a_bundle_that_was_not_given_is_left_to_the_user():
 
 def test_no_other_place_splits_a_message():
     """A plain split at "; " cuts in brackets too; messages are parted by `hints.parted` alone."""
-    for file in (Path(doctor.__file__).parents[1]).rglob("*.py"):
-        if file.name != "hints.py":
+    for file in Path(doctor.__file__).parents[2].rglob("*.py"):
+        if file.name != "remedies.py":
             found = re.findall(r'(?:split|partition|index|find)\(";? ?;? "\)', file.read_text(encoding="utf-8"))
             assert not [one for one in found if ";" in one], file

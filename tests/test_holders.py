@@ -8,13 +8,14 @@ import pytest
 from other_program import holding, talking
 from rigs import BAUD, bench, calibration, torque
 
-from softmap_edge import _core, doctor
+from softmap_edge import _core
 from softmap_edge.cli import main
 from softmap_edge.errors import ServoError
-from softmap_edge.servo.bus import opened
-from softmap_edge.servo.controller import Controller
-from softmap_edge.servo.holders import holders
-from softmap_edge.servo.recording import read_recording
+from softmap_edge.robot import doctor
+from softmap_edge.robot.control.controller import Controller
+from softmap_edge.robot.control.recording import read_recording
+from softmap_edge.robot.servo.bus import opened
+from softmap_edge.robot.servo.holders import holders
 
 
 def test_a_program_that_takes_no_lock_is_named_by_all_that_open_the_port(tmp_path, capsys):

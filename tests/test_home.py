@@ -9,13 +9,13 @@ from rigs import BAUD, HOME, MODEL, NUMBER, bench, calibration, set_up, torque
 
 from softmap_edge import _core
 from softmap_edge.cli import main
-from softmap_edge.commissioning.home import NEAR, prove
 from softmap_edge.errors import ServoError
-from softmap_edge.servo.bus import opened
-from softmap_edge.servo.controller import Controller
-from softmap_edge.servo.limits import loop_limits, servo_limits
-from softmap_edge.servo.proof import mark, marked
-from softmap_edge.servo.rig import Rig, RigServo, read_rig
+from softmap_edge.robot.commissioning.home import NEAR, prove
+from softmap_edge.robot.control.controller import Controller
+from softmap_edge.robot.servo.bus import opened
+from softmap_edge.robot.servo.home_mark import mark, marked
+from softmap_edge.robot.servo.loop_limits import loop_limits, servo_limits
+from softmap_edge.robot.servo.rig import Rig, RigServo, read_rig
 
 FAR = 1800  # ticks at which the servos start; without power they know no more of their turns
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from softmap_edge import Run, SoftmapError, _core, builtin_model, forget_effect, load_effect
-from softmap_edge.motion.kinematics import REACHED, Kinematics
+from softmap_edge.robot.motion.kinematics import REACHED, Kinematics
 
 EXAMPLE = Path(__file__).parents[1] / "examples/off_centre_pulley.py"
 T = np.arange(0.0, 12.0, 0.02)

@@ -9,17 +9,18 @@ import pytest
 from other_program import leave
 from rigs import BAUD, HOME, MODEL, bench, calibration, torque
 
-from softmap_edge import _core, doctor
+from softmap_edge import _core
 from softmap_edge.cli import main
-from softmap_edge.commissioning import setup
-from softmap_edge.commissioning.jog import Jog
 from softmap_edge.errors import ServoError
-from softmap_edge.servo.bus import opened
-from softmap_edge.servo.controller import Controller
-from softmap_edge.servo.examined import examined, members, members_of, refusal, started
-from softmap_edge.servo.known_state import GAINS, SET_UP, differing, gains_of, needs
-from softmap_edge.servo.models import numbered, servo_model
-from softmap_edge.servo.rig import Rig, RigServo, read_rig
+from softmap_edge.robot import doctor
+from softmap_edge.robot.commissioning import setup
+from softmap_edge.robot.commissioning.jog import Jog
+from softmap_edge.robot.control.controller import Controller
+from softmap_edge.robot.servo.bus import opened
+from softmap_edge.robot.servo.examined import examined, members, members_of, refusal, started
+from softmap_edge.robot.servo.known_state import GAINS, SET_UP, differing, gains_of, needs
+from softmap_edge.robot.servo.models import numbered, servo_model
+from softmap_edge.robot.servo.rig import Rig, RigServo, read_rig
 
 LEFT = {
     "drive_mode": (9, "drive mode is 9, needed is 0"),
@@ -183,5 +184,5 @@ def test_gains_that_a_rig_cannot_hold_count_for_nothing(kept):
 
 def test_the_process_of_a_loop_starts_without_numpy():
     """A start that reads more of the servos is not to take longer than before."""
-    look = "import sys, softmap_edge.servo.loop; sys.exit('numpy' in sys.modules)"
+    look = "import sys, softmap_edge.robot.control.loop_process; sys.exit('numpy' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", look], check=False).returncode == 0

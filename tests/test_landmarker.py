@@ -12,15 +12,15 @@ import pytest
 from hand_model import hand_model
 from logs import published
 
-from softmap_edge.doctor import WARNING, Line
 from softmap_edge.errors import TeleopError
-from softmap_edge.teleop import landmarker
-from softmap_edge.teleop.frames import FileFrames
-from softmap_edge.teleop.gesture import CLOSED, OPEN, openness
-from softmap_edge.teleop.hand import View
-from softmap_edge.teleop.landmarker import Landmarker, try_out
-from softmap_edge.teleop.model_file import fetch_model
-from softmap_edge.teleop.one_euro import OneEuro
+from softmap_edge.robot.doctor import WARNING, Line
+from softmap_edge.robot.teleop import landmarker
+from softmap_edge.robot.teleop.frames import FileFrames
+from softmap_edge.robot.teleop.gesture import CLOSED, OPEN, openness
+from softmap_edge.robot.teleop.hand import View
+from softmap_edge.robot.teleop.landmarker import Landmarker, try_out
+from softmap_edge.robot.teleop.model_file import fetch_model
+from softmap_edge.robot.teleop.one_euro import OneEuro
 
 
 @pytest.fixture(scope="module")
@@ -174,8 +174,8 @@ def test_networks_that_are_none_are_an_error_too(model, tmp_path):
 
 def test_nothing_of_it_is_loaded_with_the_package():
     code = (
-        "import sys, pkgutil, importlib, softmap_edge.teleop as t\n"
-        "for m in pkgutil.iter_modules(t.__path__): importlib.import_module('softmap_edge.teleop.' + m.name)\n"
+        "import sys, pkgutil, importlib, softmap_edge.robot.teleop as t\n"
+        "for m in pkgutil.iter_modules(t.__path__): importlib.import_module('softmap_edge.robot.teleop.' + m.name)\n"
         "assert not {'cv2', 'mediapipe', 'matplotlib'} & set(sys.modules), 'loaded'"
     )
     subprocess.run([sys.executable, "-c", code], check=True, cwd=Path(__file__).parents[1])

@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 from hands import hand
 
-from softmap_edge import signed_udp
 from softmap_edge.errors import LinkError
-from softmap_edge.signed_udp import NO_SESSION, SILENCE, new_key, read_key, tag
-from softmap_edge.teleop import landmarks_udp
-from softmap_edge.teleop.landmarks_udp import (
+from softmap_edge.robot.link import session as signed_udp
+from softmap_edge.robot.link.session import NO_SESSION, SILENCE, new_key, read_key, tag
+from softmap_edge.robot.teleop import landmarks as landmarks_udp
+from softmap_edge.robot.teleop.landmarks import (
     DATAGRAM,
     OFFER,
     Message,

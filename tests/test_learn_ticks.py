@@ -15,7 +15,7 @@ from softmap_edge.alignment.calibration import calibrate
 from softmap_edge.cli import main
 from softmap_edge.errors import RunError
 from softmap_edge.model.servo_calibration import converted
-from softmap_edge.motion.kinematics import Kinematics
+from softmap_edge.robot.motion.kinematics import Kinematics
 from softmap_edge.run.rest_command import home_command
 
 CASE = Path(__file__).parent / "data/learn_from_ticks/ticks.csv"

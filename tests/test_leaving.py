@@ -5,7 +5,7 @@ from rigs import bench, calibration, torque
 from waiting import hold_for, until
 
 from softmap_edge.errors import ServoError
-from softmap_edge.servo.controller import Controller
+from softmap_edge.robot.control.controller import Controller
 
 
 def test_a_finger_that_does_not_come_home_at_the_end_is_told():

@@ -11,20 +11,20 @@ from waiting import hold_for
 
 from softmap_edge import _core
 from softmap_edge.cli import main
-from softmap_edge.commissioning.jog import Held, Jog
-from softmap_edge.commissioning.setup import registers
 from softmap_edge.errors import BundleError, LimitError, ServoError
 from softmap_edge.model.bundle import builtin_model, load_bundle, save_bundle
 from softmap_edge.model.safety import TIMES, TURNS, read_safety
 from softmap_edge.model.servo_calibration import Calibration
-from softmap_edge.servo.bus import opened
-from softmap_edge.servo.ceiling import RANGES, Ceiling
-from softmap_edge.servo.combined import combined
-from softmap_edge.servo.controller import Controller
-from softmap_edge.servo.limits import loop_limits, servo_limits
-from softmap_edge.servo.models import servo_model
-from softmap_edge.servo.proof import set_mark
-from softmap_edge.servo.rig import Rig, RigServo, read_rig
+from softmap_edge.robot.commissioning.jog import Held, Jog
+from softmap_edge.robot.commissioning.setup import registers
+from softmap_edge.robot.control.controller import Controller
+from softmap_edge.robot.servo.bus import opened
+from softmap_edge.robot.servo.home_mark import set_mark
+from softmap_edge.robot.servo.limits import combined
+from softmap_edge.robot.servo.loop_limits import loop_limits, servo_limits
+from softmap_edge.robot.servo.models import servo_model
+from softmap_edge.robot.servo.rig import Rig, RigServo, read_rig
+from softmap_edge.robot.servo.rig_ceiling import RANGES, Ceiling
 
 FINGER = builtin_model()
 

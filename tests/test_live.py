@@ -14,17 +14,17 @@ from rigs import bench, calibration
 from waiting import until
 
 from softmap_edge import builtin_model, load_bundle
-from softmap_edge.camera.frames import Frame, HostClock
 from softmap_edge.cli import main
 from softmap_edge.diagnosis.comparison import aligned
 from softmap_edge.diagnosis.live import KEPT, Live
 from softmap_edge.errors import ComparisonError, RunError
+from softmap_edge.robot.control.controller import Controller
+from softmap_edge.robot.control.follow import Following
+from softmap_edge.robot.control.recording import read_recording
+from softmap_edge.robot.link.frames import Frame, HostClock
+from softmap_edge.robot.servo.loop_limits import loop_limits, servo_limits
+from softmap_edge.robot.servo.rig import read_rig
 from softmap_edge.run.run import Run
-from softmap_edge.servo.controller import Controller
-from softmap_edge.servo.follow import Following
-from softmap_edge.servo.limits import loop_limits, servo_limits
-from softmap_edge.servo.recording import read_recording
-from softmap_edge.servo.rig import read_rig
 
 
 def with_map():

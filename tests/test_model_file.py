@@ -9,8 +9,8 @@ import pytest
 from hand_model import hand_model
 
 from softmap_edge.errors import TeleopError
-from softmap_edge.teleop import model_file
-from softmap_edge.teleop.model_file import DETECTOR, IN_WHEEL, LANDMARKS, check_model, default_path, fetch_model
+from softmap_edge.robot.teleop import model_file
+from softmap_edge.robot.teleop.model_file import DETECTOR, IN_WHEEL, LANDMARKS, check_model, default_path, fetch_model
 
 NETWORKS = {DETECTOR: b"\x1c\0\0\0TFL3" + b"d" * 500, LANDMARKS: b"\x1c\0\0\0TFL3" + b"l" * 900}
 

@@ -17,17 +17,18 @@ from emulated_robot import emulated
 from rigs import HOME, TICKS_PER_MM, angles, bench, calibration, torque
 from waiting import until
 
-from softmap_edge import builtin_model, doctor, save_bundle
+from softmap_edge import builtin_model, save_bundle
 from softmap_edge.cli import main
 from softmap_edge.commands.move import STEP
-from softmap_edge.commissioning import setup
-from softmap_edge.commissioning.jog import Held, Jog
-from softmap_edge.commissioning.keys import Keys
 from softmap_edge.errors import ServoError
-from softmap_edge.servo.bus import opened
-from softmap_edge.servo.ceiling import Ceiling
-from softmap_edge.servo.proof import marked
-from softmap_edge.terminal_keys import named
+from softmap_edge.robot import doctor
+from softmap_edge.robot.commissioning import setup
+from softmap_edge.robot.commissioning.jog import Held, Jog
+from softmap_edge.robot.commissioning.keys import Keys
+from softmap_edge.robot.servo.bus import opened
+from softmap_edge.robot.servo.home_mark import marked
+from softmap_edge.robot.servo.rig_ceiling import Ceiling
+from softmap_edge.robot.servo.terminal import named
 
 
 def test_a_jog_goes_where_it_is_sent_slowly_and_weakly():
@@ -260,7 +261,7 @@ def test_between_a_press_and_its_repetitions_torque_stays_on(terminal, tmp_path)
 def test_keys_of_a_terminal(terminal, monkeypatch):
     ours, theirs = terminal
     now = [100.0]
-    monkeypatch.setattr("softmap_edge.commissioning.keys.time.monotonic", lambda: now[0])
+    monkeypatch.setattr("softmap_edge.robot.commissioning.keys.time.monotonic", lambda: now[0])
 
     def after(seconds, typed=b""):
         now[0] += seconds

@@ -82,9 +82,9 @@ def robot_sample(folder):
 
 
 def rig_sample(folder):
-    from softmap_edge.servo.ceiling import Ceiling
-    from softmap_edge.servo.emergency import Beats, Emergency, Line
-    from softmap_edge.servo.rig import Rig, RigServo
+    from softmap_edge.robot.servo.emergency import Beats, Emergency, Line
+    from softmap_edge.robot.servo.rig import Rig, RigServo
+    from softmap_edge.robot.servo.rig_ceiling import Ceiling
 
     servos = (RigServo(1, "XL330-M288", 2000, 200.0, -900, 900), RigServo(2, "XM430-W350", 2100, slew=1000.0))
     stops = Emergency(Line("/dev/gpiochip0", 17), Beats(5006, "/stop.key"))
@@ -102,7 +102,7 @@ def diagnosis_sample(folder):
 
 def commands_sample(folder):
     from softmap_edge.experiment.blocks import BLOCKS
-    from softmap_edge.experiment.command_file import write_commands
+    from softmap_edge.robot.drive.command_file import write_commands
     from softmap_edge.run.protocol import Limits
 
     made = BLOCKS["a known 10 g"].plan(Limits.even(2))
@@ -251,8 +251,8 @@ def use_rig(path):
     from rigs import calibration
 
     from softmap_edge.model.bundle import builtin_model
-    from softmap_edge.servo.combined import combined
-    from softmap_edge.servo.rig import read_rig
+    from softmap_edge.robot.servo.limits import combined
+    from softmap_edge.robot.servo.rig import read_rig
 
     rig = read_rig(path)
     rig.write(path.with_name("again.toml"))
@@ -272,7 +272,7 @@ def use_diagnosis(path):
 
 
 def use_commands(path):
-    from softmap_edge.experiment.command_file import read_commands, steps, write_commands
+    from softmap_edge.robot.drive.command_file import read_commands, steps, write_commands
 
     made, robot = read_commands(path)
     steps(made.notes)

@@ -19,7 +19,7 @@ from softmap_edge import _core, builtin_model, load_bundle, save_bundle  # noqa:
 from softmap_edge.cli import main  # noqa: E402
 from softmap_edge.errors import BundleError  # noqa: E402
 from softmap_edge.model.onnx import run_elsewhere  # noqa: E402
-from softmap_edge.motion.kinematics import Kinematics  # noqa: E402
+from softmap_edge.robot.motion.kinematics import Kinematics  # noqa: E402
 
 torch.set_num_threads(1)
 AGREE_MM = 1e-4

@@ -19,7 +19,7 @@ from softmap_edge.diagnosis.separate import next_blocks
 from softmap_edge.errors import SoftmapError
 from softmap_edge.experiment.blocks import BLOCKS, chosen, plan
 from softmap_edge.experiment.choose import SETTLED, program
-from softmap_edge.experiment.command_file import read_commands
+from softmap_edge.robot.drive.command_file import read_commands
 from softmap_edge.run.protocol import Limits, Protocol
 
 MODEL = builtin_model()

@@ -14,15 +14,15 @@ from waiting import hold_for, until
 
 from softmap_edge.cli import main
 from softmap_edge.errors import ServoError
-from softmap_edge.servo.controller import Controller
+from softmap_edge.robot.control.controller import Controller
 
 PROGRAM = """
 import os, sys, time
 sys.path.insert(0, {tests!r})
 from rigs import calibration, WINDOW, MODEL, HOME, BAUD
-from softmap_edge.servo.controller import Controller
-from softmap_edge.servo.limits import loop_limits, servo_limits
-from softmap_edge.servo.rig import Rig, RigServo
+from softmap_edge.robot.control.controller import Controller
+from softmap_edge.robot.servo.loop_limits import loop_limits, servo_limits
+from softmap_edge.robot.servo.rig import Rig, RigServo
 rig = Rig({path!r}, BAUD, tuple(RigServo(id, MODEL, HOME) for id in (1, 2)))
 with Controller(rig, calibration(), loop_limits([servo_limits(MODEL, HOME, WINDOW)] * 2, 200.0, hold={hold})) as robot:
     robot.engage()

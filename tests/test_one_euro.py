@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from softmap_edge.errors import TeleopError
-from softmap_edge.teleop.one_euro import OneEuro
+from softmap_edge.robot.teleop.one_euro import OneEuro
 
 
 def filtered(t, x, one_euro=None):

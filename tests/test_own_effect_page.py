@@ -16,8 +16,8 @@ from softmap_edge import builtin_model, diagnose
 from softmap_edge.cli import main
 from softmap_edge.diagnosis.comparison import compare
 from softmap_edge.model.user_effect import forget_effect, loaded
+from softmap_edge.robot.emulated.named_laws import OffCentreSpool
 from softmap_edge.run.run import Run
-from softmap_edge.truth_named import OffCentreSpool
 
 PAGE = (ROOT / "docs/own_effect.md").read_text(encoding="utf-8")
 EXAMPLE = (ROOT / "examples/off_centre_pulley.py").read_text(encoding="utf-8")

@@ -9,11 +9,11 @@ from driving import hand as shown
 from hands import hand, turned
 from rigs import HOME, angles, torque
 
-from softmap_edge.signed_udp import new_key, read_key
-from softmap_edge.teleop.eyes import FarEyes
-from softmap_edge.teleop.hand import Hand, View
-from softmap_edge.teleop.landmarks_udp import Message, Receiver, Sender
-from softmap_edge.teleop.own_hand import ANOTHER, SIDES, OwnHand
+from softmap_edge.robot.link.session import new_key, read_key
+from softmap_edge.robot.teleop.hand import Hand, View
+from softmap_edge.robot.teleop.hand_source import FarEyes
+from softmap_edge.robot.teleop.landmarks import Message, Receiver, Sender
+from softmap_edge.robot.teleop.own_hand import ANOTHER, SIDES, OwnHand
 
 RATE = 30.0  # pictures a second
 PX = 1000.0  # px a metre: a hand of 100 px from wrist to middle knuckle is 0.1 m

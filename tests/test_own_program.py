@@ -9,9 +9,9 @@ import pytest
 from emulated_robot import emulated
 
 from softmap_edge import SoftmapError, builtin_model, open_robot, save_bundle
-from softmap_edge.camera.points_udp import PointReceiver
 from softmap_edge.cli import main
-from softmap_edge.servo.recording import read_recording
+from softmap_edge.robot.control.recording import read_recording
+from softmap_edge.robot.link.points import PointReceiver
 
 PAGE = (Path(__file__).parents[1] / "docs/own_program.md").read_text(encoding="utf-8")
 

@@ -14,9 +14,9 @@ from softmap_edge.diagnosis.findings import Alternative
 from softmap_edge.diagnosis.record import Record
 from softmap_edge.diagnosis.records import Records
 from softmap_edge.errors import SoftmapError
+from softmap_edge.robot.emulated.laws import LAWS, TipWeight
 from softmap_edge.run.protocol import standard_protocol
 from softmap_edge.truth import Secret, Truth
-from softmap_edge.truth_laws import LAWS, TipWeight
 
 MODEL = builtin_model()
 WANTED = ["offset", "gain", "latency", "backlash", "hysteresis", "creep", "gravity", "payload", "mount"]

@@ -9,16 +9,17 @@ import pytest
 from other_program import leave
 from rigs import BAUD, NUMBER, bench, calibration
 
-from softmap_edge import _core, builtin_model, doctor, save_bundle
+from softmap_edge import _core, builtin_model, save_bundle
 from softmap_edge.cli import main
 from softmap_edge.errors import NoAnswer, ServoError
-from softmap_edge.servo import presence
-from softmap_edge.servo.bus import heard, opened
-from softmap_edge.servo.combined import combined
-from softmap_edge.servo.controller import Controller
-from softmap_edge.servo.examined import examined, members, refusal, started
-from softmap_edge.servo.presence import listened, why_silent
-from softmap_edge.servo.rig import read_rig
+from softmap_edge.robot import doctor
+from softmap_edge.robot.control.controller import Controller
+from softmap_edge.robot.servo import presence
+from softmap_edge.robot.servo.bus import heard, opened
+from softmap_edge.robot.servo.examined import examined, members, refusal, started
+from softmap_edge.robot.servo.limits import combined
+from softmap_edge.robot.servo.presence import listened, why_silent
+from softmap_edge.robot.servo.rig import read_rig
 
 
 def run(line, **given):

@@ -12,13 +12,13 @@ from rigs import BAUD, HOME, MODEL, bench, calibration, torque
 
 from softmap_edge.cli import main
 from softmap_edge.commands.progress import Bar
-from softmap_edge.commissioning.jog import Held, Jog
-from softmap_edge.commissioning.pull import LEAST_READ, MARGIN, _stand, pull
 from softmap_edge.errors import ServoError
 from softmap_edge.model.bundle import builtin_model, save_bundle
-from softmap_edge.servo.ceiling import Ceiling
-from softmap_edge.servo.combined import IDLE, combined
-from softmap_edge.servo.rig import Rig, RigServo, read_rig
+from softmap_edge.robot.commissioning.jog import Held, Jog
+from softmap_edge.robot.commissioning.pull import LEAST_READ, MARGIN, _stand, pull
+from softmap_edge.robot.servo.limits import IDLE, combined
+from softmap_edge.robot.servo.rig import Rig, RigServo, read_rig
+from softmap_edge.robot.servo.rig_ceiling import Ceiling
 
 FINGER = replace(builtin_model(), calibration=calibration())
 QUICK = Ceiling((("jog_slew", 800.0), ("low", -250.0), ("high", 300.0)))
@@ -37,7 +37,7 @@ def folder(tmp_path):
 @pytest.fixture
 def brief(monkeypatch):
     """Stand a shorter while at each end, where what was measured there is no matter."""
-    monkeypatch.setattr("softmap_edge.commissioning.pull.STANDS", 0.1)
+    monkeypatch.setattr("softmap_edge.robot.commissioning.pull.STANDS", 0.1)
 
 
 def words(file, bundle, *more):
@@ -176,14 +176,14 @@ def test_a_servo_that_is_on_its_way_yet_is_waited_for():
 
 
 def test_one_that_never_stands_is_read_as_it_is(brief, monkeypatch):
-    monkeypatch.setattr("softmap_edge.commissioning.pull.PATIENCE", 0.5)
+    monkeypatch.setattr("softmap_edge.robot.commissioning.pull.PATIENCE", 0.5)
     jog = Jogged(60.0)
     assert len(_stand(jog, 0, Held())) >= LEAST_READ and time.monotonic() - jog.begun < 3.0
 
 
 def test_time_goes_on_only_while_it_is_held(brief, monkeypatch):
     """Who lets go for longer than a silence is waited for is told nothing of the wiring."""
-    monkeypatch.setattr("softmap_edge.commissioning.pull.PATIENCE", 0.2)
+    monkeypatch.setattr("softmap_edge.robot.commissioning.pull.PATIENCE", 0.2)
 
     class Pauses(Held):
         def held(self):

@@ -7,15 +7,15 @@ import pytest
 from rigs import BAUD, bench, calibration, torque
 from waiting import until
 
-from softmap_edge import doctor
 from softmap_edge.cli import main
-from softmap_edge.commissioning.reboot import restart
 from softmap_edge.errors import ServoError
-from softmap_edge.servo import words
-from softmap_edge.servo.bus import opened
-from softmap_edge.servo.controller import Controller
-from softmap_edge.servo.known_state import hardware
-from softmap_edge.servo.proof import marked
+from softmap_edge.robot import doctor
+from softmap_edge.robot.commissioning.reboot import restart
+from softmap_edge.robot.control.controller import Controller
+from softmap_edge.robot.servo import status_words as words
+from softmap_edge.robot.servo.bus import opened
+from softmap_edge.robot.servo.home_mark import marked
+from softmap_edge.robot.servo.known_state import hardware
 
 ERRORS = {0x01: "input voltage", 0x04: "overheating", 0x08: "motor encoder", 0x10: "electrical shock", 0x20: "overload"}
 

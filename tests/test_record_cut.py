@@ -15,12 +15,12 @@ from command import SOFTMAP
 from waiting import until
 
 from softmap_edge import Run, builtin_model
-from softmap_edge.camera.frames import Frame, HostClock
 from softmap_edge.cli import main
 from softmap_edge.errors import RunError
 from softmap_edge.experiment.blocks import chosen, plan
-from softmap_edge.experiment.command_file import write_commands
-from softmap_edge.experiment.kept import Keeper, Kept, read_kept
+from softmap_edge.robot.drive.command_file import write_commands
+from softmap_edge.robot.drive.observations import Keeper, Kept, read_kept
+from softmap_edge.robot.link.frames import Frame, HostClock
 from softmap_edge.run.protocol import Limits
 
 MOST = 200_000  # bytes of a file

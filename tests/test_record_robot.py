@@ -18,18 +18,18 @@ from rigs import calibration, torque
 from waiting import until
 
 from softmap_edge import Run, SoftmapError, builtin_model, compare, diagnose, load_bundle
-from softmap_edge.camera.frames import Frame
 from softmap_edge.cli import main
-from softmap_edge.emulated.finger import emulated_bench
 from softmap_edge.experiment.blocks import BLOCKS, chosen, plan
-from softmap_edge.experiment.command_file import write_commands
-from softmap_edge.experiment.kept import SEEN
-from softmap_edge.experiment.pace import ANSWER, BEHIND, SHARE, SPAN, STILL, pace, servos_still, view_still
-from softmap_edge.experiment.play import Player, merged
+from softmap_edge.robot.control.controller import Controller
+from softmap_edge.robot.control.recording import read_recording
+from softmap_edge.robot.drive.command_file import write_commands
+from softmap_edge.robot.drive.observations import SEEN
+from softmap_edge.robot.drive.pace import ANSWER, BEHIND, SHARE, SPAN, STILL, pace, servos_still, view_still
+from softmap_edge.robot.drive.player import Player, merged
+from softmap_edge.robot.emulated.finger import emulated_bench
+from softmap_edge.robot.link.frames import Frame
+from softmap_edge.robot.servo.loop_limits import servo_limits
 from softmap_edge.run.protocol import Limits, Protocol
-from softmap_edge.servo.controller import Controller
-from softmap_edge.servo.limits import servo_limits
-from softmap_edge.servo.recording import read_recording
 
 MODEL = builtin_model()
 SERVOS = [servo_limits("XL330-M288", 2000, (-900.0, 900.0))] * 2
@@ -190,7 +190,7 @@ def test_a_condition_is_changed_while_torque_is_off(tmp_path):
 
 
 def test_a_camera_that_is_gone_ends_it_and_what_was_seen_is_kept(tmp_path, monkeypatch):
-    monkeypatch.setattr("softmap_edge.experiment.play.LOST", 1.5)
+    monkeypatch.setattr("softmap_edge.robot.drive.player.LOST", 1.5)
     made = short()
     made = Protocol(made.name, made.t * 1.5, made.command, made.gravity, made.t_seen * 1.5, made.block)
 
@@ -209,7 +209,7 @@ def test_a_camera_that_is_gone_ends_it_and_what_was_seen_is_kept(tmp_path, monke
 
 
 def test_no_camera_no_move(tmp_path, monkeypatch):
-    monkeypatch.setattr("softmap_edge.experiment.play.LOST", 1.0)
+    monkeypatch.setattr("softmap_edge.robot.drive.player.LOST", 1.0)
     asked = []
     *_, ended = played(tmp_path, short(), lambda *said: asked.append(said), act=blinded)
     assert "no frame came within 1 s" in ended and not asked

@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 
 from softmap_edge import Run, builtin_model
-from softmap_edge.camera.frames import Frame
 from softmap_edge.cli import main
 from softmap_edge.commands.robot import plain_map
 from softmap_edge.diagnosis.document import Diagnosis
 from softmap_edge.errors import RecordingBroken, RunError
-from softmap_edge.experiment.kept import LATELY, Keeper, keeping, read_kept, seen_file, with_crc
-from softmap_edge.experiment.recorded import open_run
-from softmap_edge.servo.recording import read_recording
+from softmap_edge.robot.control.recording import read_recording
+from softmap_edge.robot.drive.observations import LATELY, Keeper, keeping, read_kept, seen_file, with_crc
+from softmap_edge.robot.drive.recorded import open_run
+from softmap_edge.robot.link.frames import Frame
 
 MODEL = builtin_model()
 CALIBRATED = replace(MODEL, calibration=plain_map(MODEL))
@@ -215,7 +215,7 @@ def test_a_command_file_that_was_cut_is_recovered_and_not_opened(copied):
 def test_a_recording_without_its_calibration_stays_in_ticks(copied, monkeypatch):
     told = read_recording(copied)
     monkeypatch.setattr(
-        "softmap_edge.experiment.recorded.read_recording",
+        "softmap_edge.robot.drive.recorded.read_recording",
         lambda file: replace(told, setup={key: value for key, value in told.setup.items() if key != "calibration"}),
     )
     run = open_run(copied, MODEL)
@@ -235,7 +235,8 @@ def test_what_stands_there_is_not_lost(tmp_path, capsys):
 
 def test_a_start_that_fails_leaves_nothing_to_be_taken_for_it(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(
-        "softmap_edge.servo.controller.Controller._start", lambda self: (_ for _ in ()).throw(RunError("no start"))
+        "softmap_edge.robot.control.controller.Controller._start",
+        lambda self: (_ for _ in ()).throw(RunError("no start")),
     )
     for _ in range(2):
         assert main(["track", "O", "--sim", "--record", str(tmp_path / "x.mcap")]) == 2

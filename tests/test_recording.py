@@ -17,8 +17,8 @@ from rigs import HOME, TICKS_PER_MM, bench, calibration
 from softmap_edge import _core
 from softmap_edge.cli import main
 from softmap_edge.errors import RunError, ServoError
-from softmap_edge.servo.controller import Controller
-from softmap_edge.servo.recording import Recording, read_recording
+from softmap_edge.robot.control.controller import Controller
+from softmap_edge.robot.control.recording import Recording, read_recording
 
 
 @pytest.fixture(scope="module")

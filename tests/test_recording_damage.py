@@ -15,13 +15,13 @@ from rigs import bench, calibration
 
 from softmap_edge.cli import main
 from softmap_edge.errors import RecordingBroken, RecordingWarning, RunError, ServoError
-from softmap_edge.experiment.kept import seen_file
-from softmap_edge.experiment.recorded import open_run, run_of
 from softmap_edge.files.mcap_records import read_closing
+from softmap_edge.robot.control.controller import Controller
+from softmap_edge.robot.control.recording import read_recording
+from softmap_edge.robot.control.recording_end import broken_recording, system_words
+from softmap_edge.robot.drive.observations import seen_file
+from softmap_edge.robot.drive.recorded import open_run, run_of
 from softmap_edge.run.run import Run
-from softmap_edge.servo.controller import Controller
-from softmap_edge.servo.recording import read_recording
-from softmap_edge.servo.recording_end import broken_recording, system_words
 
 ROOM = 60_000  # bytes of a file, where there is little room
 

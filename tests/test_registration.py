@@ -14,12 +14,12 @@ from softmap_edge.elsewhere.build import model_from_shapes
 from softmap_edge.elsewhere.sweep_file import ShapeSweep
 from softmap_edge.errors import RegistrationError
 from softmap_edge.registration.register import register
+from softmap_edge.robot.emulated.laws import rotation
 from softmap_edge.run.run import ROLL_SEEN, Run
 from softmap_edge.solid.finger import Finger
 from softmap_edge.solid.simulator import Simulator
 from softmap_edge.truth import toured
 from softmap_edge.truth_clouds import FULL, HALF, HARD, TWO
-from softmap_edge.truth_laws import rotation
 from softmap_edge.truth_virtual import virtual_finger
 
 MODEL = builtin_model()

@@ -20,7 +20,7 @@ from softmap_edge.cli import main
 from softmap_edge.errors import RegistrationError
 from softmap_edge.geometry.rigid import Pose, rotation, rotation_vector
 from softmap_edge.registration.register import register
-from softmap_edge.servo_ticks import PUBLISHED
+from softmap_edge.robot.emulated.published_map import PUBLISHED
 from softmap_edge.solid import finger
 
 PAGE = (Path(__file__).parents[1] / "docs/registration.md").read_text(encoding="utf-8")

@@ -12,10 +12,10 @@ from softmap_edge import _core
 from softmap_edge.cli import main
 from softmap_edge.errors import ServoError
 from softmap_edge.files.toml import quoted
-from softmap_edge.servo.emergency import Beats, Emergency, Line
-from softmap_edge.servo.models import numbered, servo_model
-from softmap_edge.servo.rig import Rig, RigServo, read_rig
-from softmap_edge.servo.rig_text import noted
+from softmap_edge.robot.servo.emergency import Beats, Emergency, Line
+from softmap_edge.robot.servo.models import numbered, servo_model
+from softmap_edge.robot.servo.rig import Rig, RigServo, read_rig
+from softmap_edge.robot.servo.rig_edit import noted
 
 ODD = [
     *range(0x20),

@@ -18,9 +18,9 @@ from rigs import BAUD, HOME, NUMBER, bench, calibration, torque
 
 from softmap_edge import _core, builtin_model, save_bundle
 from softmap_edge.cli import main
-from softmap_edge.doctor import host
-from softmap_edge.servo.emergency import Beats, Emergency
-from softmap_edge.servo.rig import read_rig
+from softmap_edge.robot.doctor import host
+from softmap_edge.robot.servo.emergency import Beats, Emergency
+from softmap_edge.robot.servo.rig import read_rig
 
 MOST = 5  # commands that a message may need one after the other
 NAMED = re.compile(r"`softmap ([^`]+)`(?:, (\d+) times)?")

@@ -18,13 +18,13 @@ from softmap_edge import _core
 from softmap_edge.cli import main
 from softmap_edge.commands import servo_emulate
 from softmap_edge.commands.robot import HOME
-from softmap_edge.commissioning import setup
 from softmap_edge.errors import ServoError
+from softmap_edge.robot.commissioning import setup
+from softmap_edge.robot.control.controller import Controller
+from softmap_edge.robot.control.recording import read_recording
+from softmap_edge.robot.servo.bus import opened, ports
+from softmap_edge.robot.servo.rig import RigServo, read_rig
 from softmap_edge.run.run import Run
-from softmap_edge.servo.bus import opened, ports
-from softmap_edge.servo.controller import Controller
-from softmap_edge.servo.recording import read_recording
-from softmap_edge.servo.rig import RigServo, read_rig
 
 XL330, XL430 = 1200, 1060
 

@@ -6,10 +6,10 @@ from pathlib import Path
 import pytest
 from loops import STATES
 
-from softmap_edge.commissioning.jog import Jog
-from softmap_edge.servo import words
-from softmap_edge.servo.controller import REQUESTS
-from softmap_edge.servo.rig import Rig, RigServo
+from softmap_edge.robot.commissioning.jog import Jog
+from softmap_edge.robot.control.controller import REQUESTS
+from softmap_edge.robot.servo import status_words as words
+from softmap_edge.robot.servo.rig import Rig, RigServo
 
 
 def test_every_state_and_cause_of_the_guard_has_its_words():

@@ -11,14 +11,14 @@ import pytest
 from rigs import bench, calibration, torque
 
 from softmap_edge.errors import SessionWarning
-from softmap_edge.servo import session_mark
-from softmap_edge.servo.controller import Controller
+from softmap_edge.robot.control import session_mark
+from softmap_edge.robot.control.controller import Controller
 
 PROGRAM = """
 import sys, time
 from rigs import *
-from softmap_edge.servo import session_mark
-from softmap_edge.servo.controller import Controller
+from softmap_edge.robot.servo import session_mark
+from softmap_edge.robot.control.controller import Controller
 session_mark.EMULATED = "none"
 rig = Rig(sys.argv[1], BAUD, tuple(RigServo(id, MODEL, HOME) for id in (1, 2)))
 limits = loop_limits([servo_limits(MODEL, HOME, WINDOW)] * 2, 200.0)

@@ -6,11 +6,11 @@ from rigs import BAUD, HOME, MODEL, NUMBER, bench
 
 from softmap_edge import _core
 from softmap_edge.cli import main
-from softmap_edge.commissioning import setup
 from softmap_edge.errors import ServoError
-from softmap_edge.servo.bus import opened
-from softmap_edge.servo.examined import members, started
-from softmap_edge.servo.rig import Rig, RigServo, read_rig
+from softmap_edge.robot.commissioning import setup
+from softmap_edge.robot.servo.bus import opened
+from softmap_edge.robot.servo.examined import members, started
+from softmap_edge.robot.servo.rig import Rig, RigServo, read_rig
 
 
 def fresh(baud=BAUD, ids=(1, 2)):

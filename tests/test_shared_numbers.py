@@ -19,7 +19,7 @@ from softmap_edge.diagnosis.records import record_of
 from softmap_edge.errors import SoftmapError
 from softmap_edge.model.bundle import load_bundle, save_bundle
 from softmap_edge.model.chain_labels import named, valued
-from softmap_edge.motion.kinematics import Kinematics
+from softmap_edge.robot.motion.kinematics import Kinematics
 
 SHARED = [name for name in BY_ROLE["channel"] if any(p["shared"] for p in EFFECTS[name]["parameters"])]
 GAPS = {"backlash.gap[0]": 1.4, "backlash.gap[1]": 0.8}

@@ -17,19 +17,19 @@ from command import SOFTMAP
 from driving import MODEL, Fingers
 from rigs import calibration
 
-from softmap_edge.emulated.finger import emulated_bench
 from softmap_edge.errors import ServoError
-from softmap_edge.experiment.command_file import write_commands
-from softmap_edge.motion.kinematics import Kinematics
+from softmap_edge.robot.control.controller import Controller
+from softmap_edge.robot.control.recording import read_recording
+from softmap_edge.robot.drive.command_file import write_commands
+from softmap_edge.robot.emulated.finger import emulated_bench
+from softmap_edge.robot.motion.kinematics import Kinematics
+from softmap_edge.robot.servo import clock
+from softmap_edge.robot.servo.clock import BUSY
+from softmap_edge.robot.teleop.busy import Busy
+from softmap_edge.robot.teleop.drive import Drive
+from softmap_edge.robot.teleop.hand_source import NoEyes
+from softmap_edge.robot.teleop.mapping import Direct
 from softmap_edge.run.protocol import Protocol
-from softmap_edge.servo import clock
-from softmap_edge.servo.clock import BUSY
-from softmap_edge.servo.controller import Controller
-from softmap_edge.servo.recording import read_recording
-from softmap_edge.teleop.aim import Direct
-from softmap_edge.teleop.busy import Busy
-from softmap_edge.teleop.drive import Drive
-from softmap_edge.teleop.eyes import NoEyes
 
 BROKEN = re.compile(r"servo \d|silent|unplugged|without power|home the robot|servo home|watchdog|FAULT|Fault,")
 TRACK = ["track", "S", "--amplitude", "4", "--duration", "3", "--rate", "20", "--hide", "backlash", "--json"]

@@ -12,10 +12,10 @@ from softmap_edge import builtin_model, diagnose
 from softmap_edge.cli import main
 from softmap_edge.experiment.blocks import chosen, plan
 from softmap_edge.experiment.choose import SETTLED
-from softmap_edge.experiment.command_file import read_commands
+from softmap_edge.robot.drive.command_file import read_commands
+from softmap_edge.robot.emulated.laws import TipWeight, TrueWeight
 from softmap_edge.run.protocol import Limits
 from softmap_edge.truth import Secret, Truth
-from softmap_edge.truth_laws import TipWeight, TrueWeight
 
 MODEL = builtin_model()
 FIRST = ["home revisits", "triangles of growing size", "diagonals", "fast and slow triangles"]

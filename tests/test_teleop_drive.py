@@ -9,8 +9,8 @@ import pytest
 from driving import MODEL, Session, hand
 from rigs import HOME, angles, torque
 
-from softmap_edge.motion.kinematics import Kinematics
-from softmap_edge.teleop.aim import Tip
+from softmap_edge.robot.motion.kinematics import Kinematics
+from softmap_edge.robot.teleop.mapping import Tip
 
 
 def test_the_hand_drives_from_its_pose_at_the_press_and_letting_go_slackens():

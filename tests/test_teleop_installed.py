@@ -4,7 +4,15 @@ from importlib.metadata import distributions
 
 import pytest
 
-from softmap_edge.teleop.installed import INSTALL, findings, hand_model, libraries, mediapipe, opencv, processor
+from softmap_edge.robot.teleop.requirements import (
+    INSTALL,
+    findings,
+    hand_model,
+    libraries,
+    mediapipe,
+    opencv,
+    processor,
+)
 
 
 @pytest.fixture

@@ -20,9 +20,9 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
 from softmap_edge.errors import TeleopError
-from softmap_edge.servo import words
-from softmap_edge.teleop import page as pages
-from softmap_edge.teleop.page import Page
+from softmap_edge.robot.servo import status_words as words
+from softmap_edge.robot.teleop import page as pages
+from softmap_edge.robot.teleop.page import Page
 
 CHROMIUM = next((found for name in ("chromium", "chromium-browser") if (found := shutil.which(name))), None)
 

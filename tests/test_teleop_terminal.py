@@ -5,7 +5,7 @@ import pty
 
 import pytest
 
-from softmap_edge.teleop.terminal import STEP, Terminal
+from softmap_edge.robot.teleop.terminal import STEP, Terminal
 
 
 @pytest.fixture

@@ -17,13 +17,13 @@ from waiting import until
 from benches.data import find
 from softmap_edge.cli import main
 from softmap_edge.commands.teleop import teleop_arguments
-from softmap_edge.signed_udp import read_key
-from softmap_edge.teleop.eyes import CameraEyes, FarEyes
-from softmap_edge.teleop.far import send
-from softmap_edge.teleop.hand import View
-from softmap_edge.teleop.installed import INSTALL
-from softmap_edge.teleop.landmarks_udp import Receiver, Sender
-from softmap_edge.teleop.model_file import WHEEL
+from softmap_edge.robot.link.session import read_key
+from softmap_edge.robot.teleop.hand import View
+from softmap_edge.robot.teleop.hand_source import CameraEyes, FarEyes
+from softmap_edge.robot.teleop.landmarks import Receiver, Sender
+from softmap_edge.robot.teleop.model_file import WHEEL
+from softmap_edge.robot.teleop.remote_sender import send
+from softmap_edge.robot.teleop.requirements import INSTALL
 
 PAGE = (Path(__file__).parents[1] / "docs/teleop.md").read_text(encoding="utf-8")
 PATIENT = 20.0

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from softmap_edge.motion.curves import even, figure
-from softmap_edge.motion.timing import timed
+from softmap_edge.robot.motion.figures import even, figure
+from softmap_edge.robot.motion.timing import timed
 
 SLEW, ACCELERATION = [2000.0, 1500.0], [20_000.0, 15_000.0]
 

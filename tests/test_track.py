@@ -17,21 +17,21 @@ from rigs import calibration, torque
 from waiting import until
 
 from softmap_edge import Run, SoftmapError, _core, builtin_model, diagnose, save_bundle
-from softmap_edge.camera.frames import Frame
-from softmap_edge.camera.points_udp import PointReceiver, PointSender
 from softmap_edge.cli import main
 from softmap_edge.commands.experiment import record_arguments
 from softmap_edge.commands.servo_emulate import emulate_arguments, streaming
 from softmap_edge.commands.teleop import teleop_arguments
 from softmap_edge.commands.track import track_arguments
-from softmap_edge.emulated.finger import ANSWER, emulated_bench, hidden_laws
-from softmap_edge.motion.kinematics import Kinematics
-from softmap_edge.motion.response import fit_response, response_of
-from softmap_edge.motion.track import _Feedback, course, track
+from softmap_edge.robot.control.controller import Controller
+from softmap_edge.robot.control.recording import read_recording
+from softmap_edge.robot.drive.response import fit_response, response_of
+from softmap_edge.robot.drive.track import _Feedback, course, track
+from softmap_edge.robot.emulated.finger import ANSWER, emulated_bench, hidden_laws
+from softmap_edge.robot.link.frames import Frame
+from softmap_edge.robot.link.points import PointReceiver, PointSender
+from softmap_edge.robot.motion.kinematics import Kinematics
+from softmap_edge.robot.servo.loop_limits import ACCELERATION, SLEW
 from softmap_edge.run.protocol import standard_protocol
-from softmap_edge.servo.controller import Controller
-from softmap_edge.servo.limits import ACCELERATION, SLEW
-from softmap_edge.servo.recording import read_recording
 
 MAP = replace(calibration(), window=None)
 LIMITS = {"slew": [SLEW] * 2, "acceleration": [ACCELERATION] * 2, "calibration": MAP}
@@ -185,7 +185,7 @@ def test_a_computer_that_takes_long_to_work_out_the_answer_of_the_servos_drives_
         time.sleep(3.0)
         return response_of(periods)
 
-    monkeypatch.setattr("softmap_edge.motion.track.response_of", slowly)
+    monkeypatch.setattr("softmap_edge.robot.drive.track.response_of", slowly)
     kinematics = Kinematics(model, axes="xy")
     made = course(kinematics, "O", amplitude=3.0, duration=2.0, rate=20.0, **LIMITS)
     with (

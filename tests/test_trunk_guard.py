@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from softmap_edge import _core
-from softmap_edge.servo.limits import loop_limits, servo_limits
+from softmap_edge.robot.servo.loop_limits import loop_limits, servo_limits
 
 DATA = Path(__file__).parents[2] / "shared/data/trunk/control_inputs_controlled_1.csv"
 TICKS_PER_DEGREE, HOME, RATE, STRIDE = 4096 / 360.0, 2048, 100.0, 5

@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from softmap_edge import truth_laws
 from softmap_edge.errors import SoftmapError
+from softmap_edge.robot.emulated import laws as truth_laws
+from softmap_edge.robot.emulated.laws import LAWS, rotation
 from softmap_edge.run.protocol import FAST, REACH, other_protocol, standard_protocol
-from softmap_edge.truth_laws import LAWS, rotation
 
 T = np.arange(0, 2000) / 50.0  # s
 RAMP = np.stack([3.0 * T, -2.0 * T], axis=1)  # mm
@@ -268,8 +268,8 @@ def test_unknown_and_doubled_secrets_are_refused():
 
 
 def test_laws_that_are_asked_for_by_name_move_every_channel():
+    from softmap_edge.robot.emulated.named_laws import OffCentreSpool, SwappedServos
     from softmap_edge.truth import hide
-    from softmap_edge.truth_named import OffCentreSpool, SwappedServos
 
     t = np.arange(5.0)
     u = np.linspace(-9, 9, 5)[:, None] * [1.0, -0.5, 0.7, 0.2]

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from softmap_edge.teleop.page import SERVED
+from softmap_edge.robot.teleop.page import SERVED
 
 DIST = Path(__file__).parents[1] / "dist"
 MOST = 5_000_000  # bytes

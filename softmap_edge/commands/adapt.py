@@ -9,8 +9,8 @@ from softmap_edge.adaptation import adapt as learn
 from softmap_edge.commands.output import bundle_arguments, check_bundle, check_file
 from softmap_edge.commands.own import effects_argument, load_own, open_model
 from softmap_edge.commands.understand import teller, warn_outside, write_page
-from softmap_edge.experiment.recorded import open_run
 from softmap_edge.model.bundle import save_bundle
+from softmap_edge.robot.drive.recorded import open_run
 
 WORSE = 1  # exit code
 

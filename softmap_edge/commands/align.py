@@ -15,8 +15,8 @@ from softmap_edge.alignment.result import Alignment, base_markers, in_frame
 from softmap_edge.commands.output import check_file, check_no_run
 from softmap_edge.commands.own import effects_argument, load_own, open_model
 from softmap_edge.errors import AlignError
-from softmap_edge.experiment.recorded import open_run
 from softmap_edge.geometry.rigid import Pose
+from softmap_edge.robot.drive.recorded import open_run
 from softmap_edge.run.run import Run
 
 _HOW = (

@@ -10,9 +10,9 @@ from softmap_edge.alignment.calibration import calibrate as find
 from softmap_edge.commands.output import bundle_arguments, check_bundle, check_file
 from softmap_edge.commands.own import effects_argument, load_own, open_model
 from softmap_edge.errors import CalibrationError, ReportError
-from softmap_edge.experiment.recorded import open_run
 from softmap_edge.files.atomic import write_whole
 from softmap_edge.model.bundle import save_bundle
+from softmap_edge.robot.drive.recorded import open_run
 
 NOT_AFFINE = 1  # exit code
 

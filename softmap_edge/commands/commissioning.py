@@ -10,10 +10,10 @@ import contextlib
 import sys
 from collections.abc import Iterator
 
-from softmap_edge.commissioning.jog import Deadman, Held
-from softmap_edge.commissioning.keys import Keys
 from softmap_edge.errors import ServoError
-from softmap_edge.terminal_keys import terminal, wait_for_release
+from softmap_edge.robot.commissioning.jog import Deadman, Held
+from softmap_edge.robot.commissioning.keys import Keys
+from softmap_edge.robot.servo.terminal import terminal, wait_for_release
 
 
 def hold_argument(parser: argparse.ArgumentParser, more: str = "") -> None:

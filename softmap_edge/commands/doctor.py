@@ -17,7 +17,7 @@ def doctor_arguments(parser: argparse.ArgumentParser) -> None:
 
 def doctor(args: argparse.Namespace) -> int:
     """Look at everything; 1 if something is at fault."""
-    from softmap_edge.doctor import examine
+    from softmap_edge.robot.doctor import examine
 
     found = examine(args.rig, args.bundle, args.camera)
     print(json.dumps(found.to_dict()) if args.json else found)

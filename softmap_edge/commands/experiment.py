@@ -13,10 +13,10 @@ from softmap_edge.commands.own import effects_argument, load_own, open_model
 from softmap_edge.commands.progress import Bar
 from softmap_edge.commands.seeing import camera_arguments
 from softmap_edge.errors import RunError, SoftmapError
-from softmap_edge.experiment.recorded import open_run
 from softmap_edge.files.atomic import read_document
 from softmap_edge.files.npz import write_npz
 from softmap_edge.model.user_effect import check_hashes
+from softmap_edge.robot.drive.recorded import open_run
 
 BOTH = (
     "  play it twice ({:.1f} minutes in all): as the run was, and as the reference run was; then\n"
@@ -58,7 +58,7 @@ def next_arguments(parser: argparse.ArgumentParser) -> None:
 def next(args: argparse.Namespace) -> int:
     """Say which block of commands settles what is open, and write it."""
     from softmap_edge.experiment.choose import SCHEMA
-    from softmap_edge.experiment.command_file import steps, write_commands
+    from softmap_edge.robot.drive.command_file import steps, write_commands
 
     check_file("--out", args.out, ".csv")
     if not args.minutes > 0:
@@ -214,7 +214,7 @@ def record_arguments(parser: argparse.ArgumentParser) -> None:
 
 def record(args: argparse.Namespace) -> int:
     """Play a command file on a robot, or on the simulated finger, and write the run."""
-    from softmap_edge.experiment.command_file import read_commands
+    from softmap_edge.robot.drive.command_file import read_commands
     from softmap_edge.solid.finger import Finger
     from softmap_edge.truth import WATCH, check_hidden
 

@@ -14,7 +14,7 @@ from softmap_edge.commands.seeing import late, receiver
 from softmap_edge.diagnosis.live import Live, Now
 from softmap_edge.errors import RunError, SoftmapError
 from softmap_edge.files.printable import printable, raw
-from softmap_edge.servo.follow import Following
+from softmap_edge.robot.control.follow import Following
 
 LOOK = 0.25  # s between two looks at the recording
 LINES = 2.0  # s between two lines where no terminal is watched

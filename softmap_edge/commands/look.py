@@ -14,12 +14,12 @@ from softmap_edge import _core
 from softmap_edge.commands.output import check_file, check_no_run
 from softmap_edge.commands.own import effects_argument, load_own, open_model
 from softmap_edge.errors import SoftmapError, no_effect
-from softmap_edge.experiment.recorded import RECORDING, open_run
 from softmap_edge.files.npz import write_npz
 from softmap_edge.files.numbers import WIDTH
 from softmap_edge.model.model import Model
 from softmap_edge.model.training_range import beyond
 from softmap_edge.model.user_effect import template
+from softmap_edge.robot.drive.recorded import RECORDING, open_run
 from softmap_edge.run.run import Run
 
 

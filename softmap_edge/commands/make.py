@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from softmap_edge.commands.output import bundle_arguments, check_bundle, check_file, check_no_run
 from softmap_edge.commands.progress import Bar
 from softmap_edge.errors import SoftmapError
-from softmap_edge.experiment.recorded import open_run
 from softmap_edge.model.bundle import save_bundle
+from softmap_edge.robot.drive.recorded import open_run
 from softmap_edge.solid.finger import Finger
 
 if TYPE_CHECKING:

@@ -16,18 +16,18 @@ from softmap_edge.commands.commissioning import confirm, deadman, hold_argument,
 from softmap_edge.commands.output import to_stderr
 from softmap_edge.commands.own import effects_argument, load_own, open_model
 from softmap_edge.commands.robot import bench_of, driving, emulated
-from softmap_edge.commissioning.jog import ARRIVED, EVERY, Jog, most_travel
-from softmap_edge.commissioning.pull import LEAST_SHORT, SHORT
 from softmap_edge.errors import ServoError, SoftmapError
 from softmap_edge.files.printable import raw
-from softmap_edge.hints import with_files
-from softmap_edge.motion.curves import WIDEST
-from softmap_edge.servo import words
-from softmap_edge.servo.conditions import JOG_TRAVEL
-from softmap_edge.servo.controller import Controller
-from softmap_edge.servo.proof import forget
-from softmap_edge.servo.rig import Rig, read_rig
-from softmap_edge.terminal_keys import EMERGENCY
+from softmap_edge.robot.commissioning.jog import ARRIVED, EVERY, Jog, most_travel
+from softmap_edge.robot.commissioning.pull import LEAST_SHORT, SHORT
+from softmap_edge.robot.control.controller import Controller
+from softmap_edge.robot.motion.figures import WIDEST
+from softmap_edge.robot.remedies import with_files
+from softmap_edge.robot.servo import status_words as words
+from softmap_edge.robot.servo.conditions import JOG_TRAVEL
+from softmap_edge.robot.servo.home_mark import forget
+from softmap_edge.robot.servo.rig import Rig, read_rig
+from softmap_edge.robot.servo.terminal import EMERGENCY
 
 ARROWS = {"right": (0, 1), "left": (0, -1), "up": (1, 1), "down": (1, -1)}
 SIGNS = {"+": 1, "=": 1, "-": -1}

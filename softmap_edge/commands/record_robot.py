@@ -15,27 +15,27 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from softmap_edge.camera.frames import Seen
 from softmap_edge.commands.output import check_bundle, check_file, check_no_run, to_stderr
 from softmap_edge.commands.own import open_model
 from softmap_edge.commands.progress import Bar
 from softmap_edge.commands.robot import emulated, own_map, tell_edited
 from softmap_edge.commands.seeing import late, receiver
-from softmap_edge.emulated.finger import LATE
 from softmap_edge.errors import RecordingWarning, SoftmapError
-from softmap_edge.experiment.command_file import read_commands
-from softmap_edge.experiment.kept import SEEN, Keeper, read_kept
-from softmap_edge.experiment.pace import Pace, pace
-from softmap_edge.experiment.play import Player, merged
 from softmap_edge.model.bundle import save_bundle
 from softmap_edge.model.model import Model
+from softmap_edge.robot.control.controller import Controller
+from softmap_edge.robot.control.emergency_key import EmergencyKey
+from softmap_edge.robot.control.recording import read_recording
+from softmap_edge.robot.control.recording_damage import CUT
+from softmap_edge.robot.drive.command_file import read_commands
+from softmap_edge.robot.drive.observations import SEEN, Keeper, read_kept
+from softmap_edge.robot.drive.pace import Pace, pace
+from softmap_edge.robot.drive.player import Player, merged
+from softmap_edge.robot.emulated.finger import LATE
+from softmap_edge.robot.link.frames import Seen
+from softmap_edge.robot.open import Bench, read_bench
 from softmap_edge.run.protocol import Protocol
 from softmap_edge.run.run import Run
-from softmap_edge.servo.bench import Bench, read_bench
-from softmap_edge.servo.controller import Controller
-from softmap_edge.servo.emergency_key import EmergencyKey
-from softmap_edge.servo.recording import read_recording
-from softmap_edge.servo.recording_damage import CUT
 
 INTERRUPTED = 130
 LOOP = ".loop.mcap"  # ends the name of the loop's recording beside the run, until that is written

@@ -12,15 +12,15 @@ import numpy as np
 
 from softmap_edge.commands.output import check_file, to_stderr
 from softmap_edge.commands.own import effects_argument
-from softmap_edge.emulated.finger import emulated_bench, hidden_laws
 from softmap_edge.errors import SoftmapError
-from softmap_edge.experiment.kept import seen_file
 from softmap_edge.model.model import Model
 from softmap_edge.model.servo_calibration import TICKS, TICKS_PER_MM, Calibration
-from softmap_edge.servo.bench import Bench, read_bench
-from softmap_edge.servo.controller import Controller
-from softmap_edge.servo.emergency_key import EmergencyKey
-from softmap_edge.servo.limits import RATE
+from softmap_edge.robot.control.controller import Controller
+from softmap_edge.robot.control.emergency_key import EmergencyKey
+from softmap_edge.robot.drive.observations import seen_file
+from softmap_edge.robot.emulated.finger import emulated_bench, hidden_laws
+from softmap_edge.robot.open import Bench, read_bench
+from softmap_edge.robot.servo.loop_limits import RATE
 
 HOME = 2048.0
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from softmap_edge.commands.output import check_file, check_no_run
 from softmap_edge.commands.parser import Action, add_actions
 from softmap_edge.errors import RunError
-from softmap_edge.experiment.recorded import open_run
+from softmap_edge.robot.drive.recorded import open_run
 from softmap_edge.run.contents import contents, lines
 from softmap_edge.run.cut import cut
 from softmap_edge.run.join import GAP_S, join_runs

@@ -16,7 +16,6 @@ from softmap_edge.elsewhere.summary import read_summary
 from softmap_edge.elsewhere.summary import sentences as sweep_sentences
 from softmap_edge.elsewhere.sweep_file import LIMIT, is_shape_sweep
 from softmap_edge.errors import RunError, SoftmapError, SweepError
-from softmap_edge.experiment.recorded import open_incomplete, open_run
 from softmap_edge.files.atomic import write_whole
 from softmap_edge.files.npz import read_npz
 from softmap_edge.logs.importer import import_logs, read_mapping
@@ -24,6 +23,7 @@ from softmap_edge.model.bundle import load_chain
 from softmap_edge.model.manifest import load_manifest
 from softmap_edge.model.user_effect import loaded
 from softmap_edge.report.advice_text import effect_lines
+from softmap_edge.robot.drive.recorded import open_incomplete, open_run
 from softmap_edge.run.run import Run
 from softmap_edge.run_summary import SCHEMA, sentences, summary
 

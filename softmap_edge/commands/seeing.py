@@ -5,11 +5,11 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
-from softmap_edge.camera.points_udp import PointReceiver
 from softmap_edge.errors import SoftmapError
-from softmap_edge.experiment.kept import LATEST
-from softmap_edge.experiment.recorded import open_run
-from softmap_edge.signed_udp import read_key, udp_address
+from softmap_edge.robot.drive.observations import LATEST
+from softmap_edge.robot.drive.recorded import open_run
+from softmap_edge.robot.link.points import PointReceiver
+from softmap_edge.robot.link.session import read_key, udp_address
 
 
 def camera_arguments(parser: argparse.ArgumentParser) -> None:

@@ -18,21 +18,21 @@ from softmap_edge.commands.servo_home import home, home_arguments
 from softmap_edge.commands.servo_limits import limits, limits_arguments
 from softmap_edge.commands.servo_pull import pull_arguments, pull_test
 from softmap_edge.commands.servo_reboot import reboot, reboot_arguments
-from softmap_edge.commissioning import setup
-from softmap_edge.commissioning.rig_entry import changes, entered, entry_of
 from softmap_edge.errors import NoAnswer, RecordingWarning, ServoError
-from softmap_edge.experiment.recorded import run_of
-from softmap_edge.hints import with_files
-from softmap_edge.servo import words
-from softmap_edge.servo.bus import opened, ports, release
-from softmap_edge.servo.conditions import unfit
-from softmap_edge.servo.ending import kept_words
-from softmap_edge.servo.examined import members
-from softmap_edge.servo.known_state import differs, passing
-from softmap_edge.servo.presence import why_silent
-from softmap_edge.servo.proof import marked
-from softmap_edge.servo.recording import read_recording
-from softmap_edge.servo.rig import Rig, read_rig
+from softmap_edge.robot.commissioning import setup
+from softmap_edge.robot.commissioning.rig_entry import changes, entered, entry_of
+from softmap_edge.robot.control.recording import read_recording
+from softmap_edge.robot.control.shutdown import kept_words
+from softmap_edge.robot.drive.recorded import run_of
+from softmap_edge.robot.remedies import with_files
+from softmap_edge.robot.servo import status_words as words
+from softmap_edge.robot.servo.bus import opened, ports, release
+from softmap_edge.robot.servo.conditions import unfit
+from softmap_edge.robot.servo.examined import members
+from softmap_edge.robot.servo.home_mark import marked
+from softmap_edge.robot.servo.known_state import differs, passing
+from softmap_edge.robot.servo.presence import why_silent
+from softmap_edge.robot.servo.rig import Rig, read_rig
 
 SLOWEST, FASTEST = 9_600, 4_500_000  # baud
 OTHERWISE = 1  # exit code: a fault, or a recording that is decided otherwise

@@ -9,12 +9,12 @@ from dataclasses import replace
 from softmap_edge.commands.commissioning import confirm, deadman, hold_argument, tell
 from softmap_edge.commands.output import bundle_arguments, check_bundle, to_stderr
 from softmap_edge.commands.own import effects_argument, load_own, open_model
-from softmap_edge.commissioning.first_calibration import COUPLING, bench_calibration, bends, document, radius
-from softmap_edge.commissioning.jog import Jog
 from softmap_edge.errors import CalibrationError, ServoError
 from softmap_edge.model.bundle import save_bundle
 from softmap_edge.model.model import Model
-from softmap_edge.servo.rig import Rig, read_rig
+from softmap_edge.robot.commissioning.first_calibration import COUPLING, bench_calibration, bends, document, radius
+from softmap_edge.robot.commissioning.jog import Jog
+from softmap_edge.robot.servo.rig import Rig, read_rig
 
 JOGGED = 200.0  # ticks: seen, and within what a jog may do
 MOVES = 0.5  # of that which a servo must have come

@@ -14,11 +14,13 @@ from pathlib import Path
 from typing import Any
 
 from softmap_edge import _core
-from softmap_edge.camera.points_udp import PointSender
 from softmap_edge.commands.output import check_bundle, check_file, to_stderr
 from softmap_edge.commands.own import effects_argument, load_own, open_model
 from softmap_edge.commands.robot import own_map
-from softmap_edge.emulated.finger import (
+from softmap_edge.errors import ServoError, SoftmapError
+from softmap_edge.model.bundle import save_bundle
+from softmap_edge.model.model import Model
+from softmap_edge.robot.emulated.finger import (
     BAUD,
     FRAMES,
     LATE,
@@ -27,12 +29,10 @@ from softmap_edge.emulated.finger import (
     emulated_bench,
     hidden_laws,
 )
-from softmap_edge.errors import ServoError, SoftmapError
-from softmap_edge.model.bundle import save_bundle
-from softmap_edge.model.model import Model
-from softmap_edge.servo.models import servo_model
-from softmap_edge.servo.rig import MOST_SERVOS, Rig, RigServo, read_rig
-from softmap_edge.signed_udp import read_key, udp_address
+from softmap_edge.robot.link.points import PointSender
+from softmap_edge.robot.link.session import read_key, udp_address
+from softmap_edge.robot.servo.models import servo_model
+from softmap_edge.robot.servo.rig import MOST_SERVOS, Rig, RigServo, read_rig
 
 FAULTS = (
     "faults, one a line: mute|stuck|torn|reversed|jammed|uncapped|mend|reset|lose_turn SERVO · heat SERVO °C · "

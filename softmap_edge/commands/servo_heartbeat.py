@@ -12,9 +12,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from softmap_edge.errors import ServoError
-from softmap_edge.servo.heartbeat import Heart
-from softmap_edge.signed_udp import new_key, read_key
-from softmap_edge.terminal_keys import Typed, terminal
+from softmap_edge.robot.control.heartbeat import Heart
+from softmap_edge.robot.link.session import new_key, read_key
+from softmap_edge.robot.servo.terminal import Typed, terminal
 
 EVERY = 0.02  # s between beats
 UNHEARD = 5.0  # s without an answer after which that is told

@@ -7,9 +7,9 @@ import json
 
 from softmap_edge.commands.commissioning import confirm
 from softmap_edge.commands.output import check_file
-from softmap_edge.commissioning.home import prove, relax
 from softmap_edge.errors import ServoError
-from softmap_edge.servo.rig import read_rig
+from softmap_edge.robot.commissioning.home import prove, relax
+from softmap_edge.robot.servo.rig import read_rig
 
 
 def home_arguments(parser: argparse.ArgumentParser) -> None:

@@ -7,10 +7,10 @@ import json
 
 from softmap_edge.commands.own import effects_argument, load_own, open_model
 from softmap_edge.errors import ServoError
-from softmap_edge.hints import with_files
-from softmap_edge.servo.combined import combined
-from softmap_edge.servo.limits import RATE
-from softmap_edge.servo.rig import read_rig
+from softmap_edge.robot.remedies import with_files
+from softmap_edge.robot.servo.limits import combined
+from softmap_edge.robot.servo.loop_limits import RATE
+from softmap_edge.robot.servo.rig import read_rig
 
 REFUSED = 1  # exit code: with these limits nothing is driven
 

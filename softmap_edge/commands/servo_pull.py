@@ -10,9 +10,9 @@ from softmap_edge.commands.output import check_file, to_stderr
 from softmap_edge.commands.own import effects_argument, load_own, open_model
 from softmap_edge.commands.progress import Bar
 from softmap_edge.commands.robot import tell_edited
-from softmap_edge.commissioning.pull import MARGIN, noted, pull
-from softmap_edge.servo.combined import IDLE, combined
-from softmap_edge.servo.rig import read_rig
+from softmap_edge.robot.commissioning.pull import MARGIN, noted, pull
+from softmap_edge.robot.servo.limits import IDLE, combined
+from softmap_edge.robot.servo.rig import read_rig
 
 
 def pull_arguments(parser: argparse.ArgumentParser) -> None:

@@ -6,11 +6,11 @@ import argparse
 import json
 import shlex
 
-from softmap_edge.commissioning.reboot import restart
-from softmap_edge.commissioning.setup import scan
 from softmap_edge.errors import ServoError
-from softmap_edge.servo.bus import ports
-from softmap_edge.servo.rig import read_rig
+from softmap_edge.robot.commissioning.reboot import restart
+from softmap_edge.robot.commissioning.setup import scan
+from softmap_edge.robot.servo.bus import ports
+from softmap_edge.robot.servo.rig import read_rig
 
 
 def reboot_arguments(parser: argparse.ArgumentParser) -> None:

@@ -12,26 +12,26 @@ from softmap_edge.commands.output import to_stderr
 from softmap_edge.commands.own import load_own, open_model
 from softmap_edge.commands.robot import bench_of, check_driven, driven_arguments, driven_model
 from softmap_edge.errors import RecordingBroken, TeleopError
-from softmap_edge.motion.kinematics import Kinematics
-from softmap_edge.servo.clock import BUSY
-from softmap_edge.servo.controller import Controller
-from softmap_edge.signed_udp import dropped_words, new_key, read_key
-from softmap_edge.teleop.aim import Aim, Direct, Tip
-from softmap_edge.teleop.busy import LONG
-from softmap_edge.teleop.drive import Drive
-from softmap_edge.teleop.eyes import CameraEyes, Eyes, FarEyes, NoEyes, camera_eyes
-from softmap_edge.teleop.far import send
-from softmap_edge.teleop.frames import UdpAddress, source
-from softmap_edge.teleop.gesture import Rule
-from softmap_edge.teleop.hand import HandMap, View
-from softmap_edge.teleop.keys import Input
-from softmap_edge.teleop.landmarks_udp import Receiver, Sender
-from softmap_edge.teleop.model_file import fetch_model
-from softmap_edge.teleop.moments import Shown
-from softmap_edge.teleop.page import PORT, Page
-from softmap_edge.teleop.sketch import Sketch
-from softmap_edge.teleop.terminal import HELP, Terminal
-from softmap_edge.terminal_keys import terminal
+from softmap_edge.robot.control.controller import Controller
+from softmap_edge.robot.link.session import dropped_words, new_key, read_key
+from softmap_edge.robot.motion.kinematics import Kinematics
+from softmap_edge.robot.servo.clock import BUSY
+from softmap_edge.robot.servo.terminal import terminal
+from softmap_edge.robot.teleop.busy import LONG
+from softmap_edge.robot.teleop.drive import Drive
+from softmap_edge.robot.teleop.frames import UdpAddress, source
+from softmap_edge.robot.teleop.gesture import Rule
+from softmap_edge.robot.teleop.hand import HandMap, View
+from softmap_edge.robot.teleop.hand_source import CameraEyes, Eyes, FarEyes, NoEyes, camera_eyes
+from softmap_edge.robot.teleop.keys import Input
+from softmap_edge.robot.teleop.landmarks import Receiver, Sender
+from softmap_edge.robot.teleop.mapping import Aim, Direct, Tip
+from softmap_edge.robot.teleop.model_file import fetch_model
+from softmap_edge.robot.teleop.page import PORT, Page
+from softmap_edge.robot.teleop.page_state import Shown
+from softmap_edge.robot.teleop.remote_sender import send
+from softmap_edge.robot.teleop.sketch import Sketch
+from softmap_edge.robot.teleop.terminal import HELP, Terminal
 
 DONE, FAULT = 0, 1
 RULES = {rule.replace(" ", "-"): rule for rule in get_args(Rule)}

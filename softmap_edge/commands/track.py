@@ -12,7 +12,6 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-from softmap_edge.camera.frames import Seen
 from softmap_edge.commands.output import check_file
 from softmap_edge.commands.own import load_own, open_model
 from softmap_edge.commands.progress import Bar
@@ -26,17 +25,18 @@ from softmap_edge.commands.robot import (
 )
 from softmap_edge.commands.seeing import camera_arguments, late, receiver
 from softmap_edge.commands.track_table import table, workspace
-from softmap_edge.emulated.finger import LATE, SERVO
 from softmap_edge.errors import RecordingBroken, SoftmapError
-from softmap_edge.experiment.kept import Keeper, keeping, seen_file
 from softmap_edge.files.atomic import write_whole
-from softmap_edge.motion.curves import FIGURES
-from softmap_edge.motion.kinematics import METHODS, Kinematics
-from softmap_edge.motion.track import Course, Tracked, course, spread
-from softmap_edge.motion.track import track as follow
-from softmap_edge.servo.bench import Bench
-from softmap_edge.servo.controller import Controller
-from softmap_edge.servo.limits import servo_limits
+from softmap_edge.robot.control.controller import Controller
+from softmap_edge.robot.drive.observations import Keeper, keeping, seen_file
+from softmap_edge.robot.drive.track import Course, Tracked, course, spread
+from softmap_edge.robot.drive.track import track as follow
+from softmap_edge.robot.emulated.finger import LATE, SERVO
+from softmap_edge.robot.link.frames import Seen
+from softmap_edge.robot.motion.figures import FIGURES
+from softmap_edge.robot.motion.kinematics import METHODS, Kinematics
+from softmap_edge.robot.open import Bench
+from softmap_edge.robot.servo.loop_limits import servo_limits
 
 
 def track_arguments(parser: argparse.ArgumentParser) -> None:

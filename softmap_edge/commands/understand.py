@@ -14,9 +14,9 @@ from softmap_edge.commands.own import effects_argument, load_own, open_model
 from softmap_edge.commands.progress import Bar
 from softmap_edge.commands.seeing import camera_arguments
 from softmap_edge.errors import SoftmapError, no_name
-from softmap_edge.experiment.recorded import open_run
 from softmap_edge.files.atomic import write_whole
 from softmap_edge.model.user_effect import check_hashes
+from softmap_edge.robot.drive.recorded import open_run
 
 RESIDUAL = "residual"
 NUMBERS = {

@@ -20,11 +20,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge import _core
-from softmap_edge.camera.frames import Frame, HostClock
 from softmap_edge.diagnosis.comparison import aligned
 from softmap_edge.errors import ComparisonError, RunError
 from softmap_edge.model.chain_labels import valued
 from softmap_edge.model.model import Model
+from softmap_edge.robot.link.frames import Frame, HostClock
 from softmap_edge.run.run import Run
 
 Floats = NDArray[np.float64]

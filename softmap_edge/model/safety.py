@@ -1,7 +1,7 @@
 """What a finger may be asked (`safety.toml` in its bundle): in its own units, with where each limit comes from.
 
-A bench's `rig.toml` is the ceiling; these limits can only tighten it (`servo/combined.py`). `derived` takes them from
-the model: the window is where the simulation (or the run that taught) has been, tension and strain are the largest
+A bench's `rig.toml` is the ceiling; these limits can only tighten it (`robot/servo/limits.py`). `derived` takes them
+from the model: the window is where the simulation (or the run that taught) has been, tension and strain are the largest
 that it holds there. The strain is that of the surface's triangles against their rest, λ − 1 of the larger principal
 stretch; inside a body that bends it is smaller. What nothing tells is a choice, and says so.
 Pinned by tests/test_safety.py.

@@ -24,14 +24,14 @@ from numpy.typing import NDArray
 from softmap_edge.errors import SoftmapError
 from softmap_edge.model.model import Model
 from softmap_edge.model.servo_calibration import Calibration
-from softmap_edge.motion.kinematics import AXES, Kinematics
-from softmap_edge.motion.track import Course, course, spread
+from softmap_edge.robot.drive.track import Course, course, spread
+from softmap_edge.robot.emulated.laws import rotation
+from softmap_edge.robot.emulated.published_map import PUBLISHED
+from softmap_edge.robot.motion.kinematics import AXES, Kinematics
+from softmap_edge.robot.servo.loop_limits import ACCELERATION, SLEW
 from softmap_edge.run.protocol import HANGING, Protocol
-from softmap_edge.servo.limits import ACCELERATION, SLEW
-from softmap_edge.servo_ticks import PUBLISHED
 from softmap_edge.solid.finger import Finger
 from softmap_edge.solid.simulator import Simulator
-from softmap_edge.truth_laws import rotation
 from softmap_edge.truth_virtual import VirtualFinger, virtual_finger
 
 Floats = NDArray[np.float64]

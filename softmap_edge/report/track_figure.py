@@ -15,12 +15,12 @@ from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from softmap_edge.motion.kinematics import AXES
 from softmap_edge.report.figures import AFTER, BEFORE, FAINT, FLOOR, INK, STYLE, WIDE, svg
+from softmap_edge.robot.motion.kinematics import AXES
 
 if TYPE_CHECKING:
-    from softmap_edge.motion.kinematics import Kinematics, Plan
-    from softmap_edge.motion.track import Course, Tracked
+    from softmap_edge.robot.drive.track import Course, Tracked
+    from softmap_edge.robot.motion.kinematics import Kinematics, Plan
 
 Floats = NDArray[np.float64]
 

@@ -3,9 +3,9 @@
 A recording of one or two sweeps visits each command once or twice. A long block then holds all frames of its commands,
 and its error measures the extrapolation of a polynomial, not its accuracy. So blocks and the gaps next to them are
 halved until the rest covers them, by the leverage of the terms of the map that is to be fitted (`model/coverage.py`).
-The few frames that stay uncovered are not tested: one of them can weigh more than all others, and a diagnosis sets such frames
-aside. Where squares stand in for terms that are too many, all frames are tested. Long recordings keep the given blocks.
-Pinned by tests/test_learned_memory.py, tests/test_pulled_rod.py and tests/test_splined_rod.py.
+The few frames that stay uncovered are not tested: one of them can weigh more than all others, and a diagnosis sets such
+frames aside. Where squares stand in for terms that are too many, all frames are tested. Long recordings keep the given
+blocks. Pinned by tests/test_learned_memory.py, tests/test_pulled_rod.py and tests/test_splined_rod.py.
 """
 
 from __future__ import annotations

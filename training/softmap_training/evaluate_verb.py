@@ -15,9 +15,9 @@ from softmap_edge.commands.output import check_file
 from softmap_edge.commands.own import effects_argument, load_own, open_model
 from softmap_edge.commands.progress import Bar
 from softmap_edge.errors import SoftmapError
-from softmap_edge.experiment.recorded import open_run
 from softmap_edge.files.npz import read_npz
 from softmap_edge.model.training_range import beyond, unlike
+from softmap_edge.robot.drive.recorded import open_run
 from softmap_edge.run.run import Run
 from softmap_edge.version import __version__
 from softmap_training import choices

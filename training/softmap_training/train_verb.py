@@ -10,7 +10,7 @@ from typing import Any, get_args
 from softmap_edge.commands.output import bundle_arguments, check_bundle
 from softmap_edge.commands.own import effects_argument, load_own, open_model
 from softmap_edge.commands.progress import Bar
-from softmap_edge.experiment.recorded import open_run
+from softmap_edge.robot.drive.recorded import open_run
 from softmap_training.baselines import NAMES as BASELINES
 from softmap_training.choices import PriorKind, ResidualKind
 from softmap_training.errors import TrainingError

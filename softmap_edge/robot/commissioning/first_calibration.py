@@ -1,0 +1,143 @@
+"""A first calibration without a camera: the pulleys' radius, which way each servo bends the finger, one ruler reading.
+
+A servo's command is the tendon that its pulley winds, u_k = ±r (ticks − home), straight at home (b = 0). What nobody
+measured is not claimed: no coupling is known, so that every other entry is 0 with a standard deviation of COUPLING of
+the servo's own; home was judged by eye, as far as homing lets it be off. `held_out` is what these deviations expect
+over the model's range, since no block was left out. A camera's calibration (`softmap calibrate`) replaces it.
+Pinned by tests/test_calibrate_bench.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softmap_edge.errors import CalibrationError, ServoError
+from softmap_edge.model.model import Model
+from softmap_edge.model.servo_calibration import TURN, Calibration
+from softmap_edge.robot.commissioning.home import NEAR
+from softmap_edge.robot.servo.home_mark import no_home
+from softmap_edge.robot.servo.rig import Rig
+
+Floats = NDArray[np.float64]
+
+RADIUS = (0.5, 100.0)  # mm
+CALIPER = 0.1  # of the radius: a tendon lies on top of the pulley and winds in layers
+RULER_MM = 0.5  # standard deviation of a reading of the ruler
+SHORTEST_MM = 2.0  # of tendon: what a ruler must read to say anything
+AGREE = 3.0  # standard deviations that radius and ruler may lie apart
+COUPLING = 0.1  # of a servo's own slope: how far a servo may move another command that nobody looked at
+AXES = "xyz"
+
+
+@dataclass(frozen=True)
+class Radius:
+    """A pulley's radius and its standard deviation, mm, and in words where they are from."""
+
+    mm: float
+    sigma: float
+    said: str
+
+
+def radius(pulley_mm: float, ruler: tuple[float, float] | None = None) -> Radius:
+    """Return the radius at which tendon is wound: the pulley's, weighed with a reading (ticks, mm) of the ruler.
+
+    Raises:
+        CalibrationError: out of range, or the two do not agree.
+    """
+    if not RADIUS[0] <= pulley_mm <= RADIUS[1]:
+        raise CalibrationError(f"a pulley of {pulley_mm:g} mm; allowed are {RADIUS[0]:g} to {RADIUS[1]:g} mm of radius")
+    sigma = CALIPER * pulley_mm
+    if ruler is None:
+        return Radius(pulley_mm, sigma, f"pulley {pulley_mm:g} mm, no ruler")
+    ticks, mm = abs(ruler[0]), abs(ruler[1])
+    if not (np.isfinite([ticks, mm]).all() and ticks >= 1.0 and mm >= SHORTEST_MM):
+        raise CalibrationError(
+            f"a ruler reading of {ruler[1]:g} mm for {ruler[0]:g} ticks; at least {SHORTEST_MM:g} mm of tendon tell "
+            "something: turn the servo farther"
+        )
+    turn = TURN / (2.0 * np.pi * ticks)
+    read, doubt = mm * turn, RULER_MM * turn
+    apart = abs(read - pulley_mm) / np.hypot(sigma, doubt)
+    if apart > AGREE:
+        raise CalibrationError(
+            f"the ruler says a radius of {read:.3g} ± {doubt:.2g} mm, the pulley has {pulley_mm:g} ± {sigma:.2g}: "
+            f"{apart:.1f} standard deviations apart, allowed are {AGREE:g}; measure both again (radius, not diameter)"
+        )
+    weights = np.array([sigma, doubt]) ** -2.0
+    both = float(weights @ [pulley_mm, read] / weights.sum())
+    said = f"pulley {pulley_mm:g} mm, ruler {mm:g} mm for {ticks:g} ticks"
+    return Radius(both, float(weights.sum() ** -0.5), said)
+
+
+def bends(model: Model, k: int) -> str:
+    """Return where the tip goes for more of command `k`: its largest axis of the base frame, as `+x`."""
+    low, high = np.zeros((2, model.channels))
+    reach = np.asarray(model.command_range, float)[k]
+    low[k], high[k] = 0.25 * reach
+    change = np.asarray(model.tip(np.array([low, high])), float).reshape(2, 3)
+    moved = change[1] - change[0]
+    axis = int(np.argmax(np.abs(moved)))
+    return f"{'+' if moved[axis] > 0 else '-'}{AXES[axis]}"
+
+
+def bench_calibration(rig: Rig, model: Model, pulley: Radius, signs: Sequence[int]) -> Calibration:
+    """Return the calibration of a bench whose servo k pulls command k by `signs[k]`, ±1, on pulleys of one radius.
+
+    Raises:
+        ServoError: a home is not known, or servos, signs and commands do not agree.
+        CalibrationError: the model's commands are no mm.
+    """
+    count = model.channels
+    if len(rig.servos) != count or len(signs) != count:
+        raise ServoError(
+            f"the rig has {len(rig.servos)} servos, the model {count} commands, {len(signs)} signs are given; servo k "
+            "of the rig pulls command k, so they must agree"
+        )
+    if model.command_unit != "mm":
+        raise CalibrationError(f"the model's commands are {model.command_unit}; a radius tells only mm of tendon")
+    homes = [servo.home for servo in rig.servos]
+    if missing := [servo.id for servo in rig.servos if servo.home is None]:
+        raise ServoError(no_home(missing))
+    slope = 2.0 * np.pi / TURN * pulley.mm
+    share = pulley.sigma / pulley.mm
+    doubt = np.where(np.eye(count) > 0, share, COUPLING) * slope
+    found = Calibration(
+        np.diag(np.array(signs, float)) * slope,
+        np.zeros(count),
+        np.array(homes, float),
+        doubt,
+        np.full(count, NEAR * slope),
+        _expected(model, share, NEAR * slope),
+        f"no run: {pulley.said}, jogged signs {','.join('+' if s > 0 else '-' for s in signs)}",
+        0,
+        0,
+    )
+    return replace(found, window=found.holding(model.command_range))
+
+
+def _expected(model: Model, share: float, at_home: float) -> dict[str, float]:
+    """Return the error that these deviations expect, RMS over the model's range; of the shape at its ends."""
+    box = np.asarray(model.command_range, float)
+    square = (box[:, 0] ** 2 + box[:, 0] * box[:, 1] + box[:, 1] ** 2) / 3.0  # mean of u² over each range
+    command = float(np.sqrt(np.mean((share**2 + COUPLING**2 * (len(box) - 1)) * square + at_home**2)))
+    inside = 0.5 * box[:, 1]
+    shapes = np.asarray(model.prior.evaluate(np.array([inside, inside + command]))).reshape(2, -1, 3)
+    shape = float(np.sqrt(np.mean(np.sum((shapes[1] - shapes[0]) ** 2, axis=-1))))
+    return {"command": command, "shape_mm": shape, "matched_shape_mm": 0.0}
+
+
+def document(found: Calibration, model: Model, warnings: Sequence[str]) -> dict[str, Any]:
+    """Return softmap.calibration/1 as `softmap calibrate` prints it; nothing was matched, so that no pairs are told."""
+    matched: dict[str, Any] = {"ticks": [], "command": [], "frames": [], "weight": [], "mae_mm": None}
+    return found.to_dict() | {
+        "affine": True,
+        "departures": [],
+        "matched": matched,
+        "usable_commands": found.usable(model.command_range).tolist(),
+        "warnings": list(warnings),
+    }

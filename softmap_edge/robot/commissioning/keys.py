@@ -1,0 +1,68 @@
+"""A held key of a terminal as the deadman of moves of commissioning: holding begins with the first repetition.
+
+A key that was pressed once may have been let go at once, and nobody can know for 0.7 s (`terminal_keys.RepeatedKey`):
+nothing runs on so long after a tap. Pinned by tests/test_move.py and tests/test_emergency_key.py.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from types import TracebackType
+from typing import Self
+
+from softmap_edge.errors import ServoError
+from softmap_edge.robot.servo.terminal import EMERGENCY, RepeatedKey, Typed, terminal
+
+STOP = (EMERGENCY, "escape", " ", "q", "\x03")
+
+
+class Keys:
+    """A held key of the terminal `file` (standard input) as a deadman (`jog.Deadman`), from entering to leaving.
+
+    Args:
+        always: no key has to be held, but those that stop do.
+
+    Raises:
+        ServoError: it is no terminal.
+    """
+
+    def __init__(self, file: int | None = None, *, always: bool = False) -> None:
+        file = terminal() if file is None else file
+        if file is None or not os.isatty(file):
+            raise ServoError("no terminal whose keys could be held; start it in one, or give --hold")
+        self._typed, self._always = Typed(file), always
+        self._name, self._key = "", RepeatedKey()
+        self.presses = 0
+        self.stopped = self.emergency = False
+        held = "Ctrl-C lets go" if always else "hold any key"
+        self.how = f"{held}; space, escape and q stop, {EMERGENCY} is the emergency stop"
+
+    def __enter__(self) -> Self:
+        self._typed.__enter__()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, fault: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._typed.__exit__(kind, fault, trace)
+
+    def key(self) -> str:
+        """Return the key that is down, by the name that `named` gives, empty if none: pressed lately, or repeating.
+
+        `.presses` counts how often one was pressed anew.
+        """
+        now = time.monotonic()
+        for key in self._typed.read():
+            if key != self._name or not self._key.held(now):
+                self._name, self.presses = key, self.presses + 1
+                self._key.let_go()
+            self._key.press(now)
+            self.stopped |= key in STOP
+            self.emergency |= key == EMERGENCY
+        return self._name if not self.stopped and self._key.held(now) else ""
+
+    def held(self) -> bool:
+        """Return whether any key is held and repeats, or none has to be, and none has stopped it."""
+        self.key()
+        return not self.stopped and (self._always or self._key.repeats(time.monotonic()))

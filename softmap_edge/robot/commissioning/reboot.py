@@ -1,0 +1,103 @@
+"""Restart a servo that has shut itself down: torque off first, its errors before and after, home to be proved again.
+
+A restart clears hardware errors, but also the counted turns of a servo, its mark of home and all volatile registers.
+Pinned by tests/test_reboot.py.
+"""
+
+from __future__ import annotations
+
+import time
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import Any
+
+from softmap_edge import _core
+from softmap_edge.errors import NoAnswer, ServoError
+from softmap_edge.robot.control.shutdown import kept_words
+from softmap_edge.robot.servo.bus import heard, kept_torque, opened, pinged
+from softmap_edge.robot.servo.home_mark import set_mark
+from softmap_edge.robot.servo.known_state import hardware
+from softmap_edge.robot.servo.presence import why_silent
+
+WAITS = 3.0  # s within which a servo that was restarted answers again
+TRIES = 3
+
+
+@dataclass(frozen=True)
+class Restarted:
+    """A servo that was restarted at `port`, and its hardware error bits (register 70) before that."""
+
+    port: str
+    baud: int
+    id: int
+    reported: int
+
+    def __str__(self) -> str:
+        was = hardware(self.reported) if self.reported else "no error"
+        return (
+            f"servo {self.id} was restarted: it reported {was} before, and no error now; torque is off and its turns "
+            "are lost"
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the document softmap.restarted/1."""
+        said = hardware(self.reported)
+        return {"schema": "softmap.restarted/1", "port": self.port, "baud": self.baud, "id": self.id, "reported": said}
+
+
+def restart(port: str, baud: int, id: int) -> Restarted:
+    """Switch the torque of every servo off and restart servo `id`; home the robot again afterwards.
+
+    Args:
+        port, baud, id: of the servo. A control loop holds the port exclusively, so no servo restarts while it drives.
+
+    Raises:
+        ServoError: the port is in use, the servo does not answer, keeps its torque, or still reports an error.
+    """
+    try:
+        return _restarted(port, baud, id)
+    except NoAnswer as fault:
+        if "pings only" in fault.why:
+            raise
+        raise NoAnswer(f"servo {id}: {why_silent(port, baud, id)}") from None
+
+
+def _restarted(port: str, baud: int, id: int) -> Restarted:
+    with opened(port, baud) as bus:
+        reported = _errors(bus, id)
+        if left := kept_torque(bus, [id]):
+            raise ServoError(f"nothing was restarted: {kept_words(left)}")
+        with suppress(ServoError):
+            set_mark(bus, id, None)
+        _rebooted(bus, id)
+        kept_torque(bus, [id])
+        now = _errors(bus, id)
+    if now:
+        raise ServoError(
+            f"servo {id} was restarted and still reports {hardware(now)}; find the cause (a load, its supply, heat, a "
+            "cable), then switch its supply off and on"
+        )
+    return Restarted(port, baud, id, reported)
+
+
+def _errors(bus: _core.ServoBus, id: int) -> int:
+    address, size, _ = _core.servo_registers()["hardware_error_status"]
+    return int.from_bytes(heard(bus, id, address, size), "little")
+
+
+def _rebooted(bus: _core.ServoBus, id: int) -> None:
+    """Restart a servo, repeating the request, and wait until it answers again.
+
+    Raises:
+        ServoError: it does not answer in time.
+    """
+    for _ in range(TRIES):
+        with suppress(NoAnswer):  # it may restart before it answers
+            bus.reboot(id)
+            break
+    until = time.monotonic() + WAITS
+    while time.monotonic() < until:
+        time.sleep(0.1)
+        if pinged(bus, id) is not None:
+            return
+    raise ServoError(f"servo {id} does not answer after its restart; switch its supply off and on")

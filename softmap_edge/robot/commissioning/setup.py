@@ -1,0 +1,194 @@
+"""Set servos up on a bench: find them, read them, make them ready to be driven.
+
+What their registers must hold is one list (`robot/servo/known_state.py`), which each start reads again. Pinned by
+tests/test_servo_verbs.py and tests/test_set_up.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+
+from softmap_edge import _core
+from softmap_edge.errors import NoAnswer, NoSuchRate, ServoError
+from softmap_edge.robot.servo.bus import heard, opened, patiently, pinged, rates, registers
+from softmap_edge.robot.servo.home_mark import set_mark
+from softmap_edge.robot.servo.known_state import (
+    ALWAYS,
+    GAINS,
+    OLD,
+    Asked,
+    Found,
+    complaints,
+    differing,
+    holds,
+    most,
+    needs,
+    passing,
+    setup_command,
+    too_old,
+)
+from softmap_edge.robot.servo.models import Entry
+from softmap_edge.robot.servo.presence import Heard, listened
+
+__all__ = ["Asked", "Found", "complaints", "gains", "needs", "registers", "scan", "set_up"]
+
+POSITION = 3  # operating mode
+UNANSWERED = 3  # times that a register is written if no answer can be expected
+
+
+def scan(port: str, baud: int | None = None) -> Iterator[Found]:
+    """Yield every servo that answers at `port`, at one rate or at all of them.
+
+    Raises:
+        ServoError: the port cannot be opened; a rate that the adapter lacks is passed over.
+    """
+    for heard_there in scanned(port, baud):
+        yield from heard_there.found
+
+
+def scanned(port: str, baud: int | None = None) -> Iterator[Heard]:
+    """Yield the answers at `port` and their faults, rate by rate.
+
+    Raises:
+        ServoError: the port cannot be opened; a rate that the adapter lacks is passed over.
+    """
+    for rate in rates() if baud is None else [baud]:
+        try:
+            yield listened(port, rate)
+        except NoSuchRate:
+            if baud is not None:
+                raise
+
+
+def gains(found: Found) -> list[int]:
+    """Return the gains that a servo has now, in the order of GAINS."""
+    with opened(found.port, found.baud) as bus:
+        values = registers(bus, found.id)
+    return [values[name] for name in GAINS]
+
+
+def set_up(
+    found: Found,
+    new_id: int | None = None,
+    new_baud: int | None = None,
+    tell: Callable[[str], None] = lambda line: None,
+    asked: Asked | None = None,
+) -> Found:
+    """Make one servo ready to be driven, verify it by reading back, and return its new state.
+
+    Args:
+        found: the servo. new_id, new_baud: what it gets, where it gets another one.
+        tell: called with a line for each correction. asked: the requirements of the rig; without one its limits become
+            the factory settings.
+
+    Raises:
+        ServoError: its model is unknown, its firmware has no watchdog, the id or rate is not one it can have, another
+            servo would obey as well, or it keeps other values.
+    """
+    model = found.model
+    if model is None:
+        raise ServoError(str(found) + ": this model is not known and is left as it is")
+    if found.firmware < OLD:
+        raise ServoError(f"{found}: it is left as it is, {too_old(found)}")
+    id = found.id if new_id is None else new_id
+    baud = found.baud if new_baud is None else new_baud
+    if not 0 <= id <= 252:
+        raise ServoError(f"id {id}; allowed are 0 to 252")
+    if baud not in model["baud_rates"]:
+        raise ServoError(
+            f"{model['name']} has no rate of {baud} baud; it has {', '.join(map(str, model['baud_rates']))}"
+        )
+    asked = most(model) if asked is None else asked  # without a rig the factory limits apply
+    with opened(found.port, found.baud) as bus:
+        if id != found.id:
+            _check_free(bus, found, id)
+        _answering(bus, found.id, tell)
+        _made_ready(bus, found, model, tell, asked)
+        set_mark(bus, found.id, None)  # another mode counts turns from zero again
+        if id != found.id:
+            _write(bus, found.id, "id", id)
+        if baud != found.baud:
+            # Its answer may come at the new rate already: what counts is that it is found there.
+            with suppress(NoAnswer):
+                _write(bus, id, "baud_rate", model["baud_rates"].index(baud))
+    return _proved(Found(found.port, baud, id, found.number, found.firmware), asked)
+
+
+def _proved(now: Found, asked: Asked | None) -> Found:
+    """Return the servo if its registers hold the required values; raise ServoError otherwise."""
+    with opened(now.port, now.baud) as bus:
+        if pinged(bus, now.id) is None:
+            raise ServoError(f"{now} does not answer after it was set up; scan again")
+        values = registers(bus, now.id)
+    left = complaints(now, values, asked) + [need.register for need in passing(now, values, asked)]
+    if left:
+        raise ServoError(f"{now}: {'; '.join(left)}")
+    return now
+
+
+def _check_free(bus: _core.ServoBus, found: Found, id: int) -> None:
+    """Check that no other servo has the new id or would take it as well.
+
+    Raises:
+        ServoError: another servo has it, or would take it.
+    """
+    if pinged(bus, id) is not None:
+        raise ServoError(f"id {id} is taken by another servo on this bus; connect one servo at a time")
+    address, size, _ = _core.servo_registers()["secondary_id"]
+    for other in {one for one, _, _ in bus.scan()} - {found.id}:
+        if heard(bus, other, address, size) == bytes([found.id]):
+            raise ServoError(
+                f"servo {other} obeys id {found.id} too (its secondary id), so that it would get id {id} as well; "
+                f"run {setup_command(found.port, found.baud, other)} first"
+            )
+
+
+def _answering(bus: _core.ServoBus, id: int, tell: Callable[[str], None]) -> None:
+    """Set the status return level so that a servo answers every request; it may not answer this write."""
+    address, size, _ = _core.servo_registers()["status_return_level"]
+    try:
+        level = int.from_bytes(patiently(bus.read, id, address, size), "little")
+    except NoAnswer:
+        if pinged(bus, id) is None:
+            raise NoAnswer(f"servo {id}: no answer; check power and wiring") from None
+        level = None
+    if level == ALWAYS:
+        return
+    for _ in range(UNANSWERED):
+        with suppress(NoAnswer):
+            bus.write(id, address, bytes([ALWAYS]))
+            break
+    was = "it answered pings only (status return level 0)" if level is None else f"status return level is {level}"
+    tell(f"{was}: it becomes {ALWAYS}")
+
+
+def _made_ready(
+    bus: _core.ServoBus, found: Found, model: Entry, tell: Callable[[str], None], asked: Asked | None
+) -> None:
+    """Write registers that differ, torque off; the servo then resets its gains, as with each new operating mode."""
+    before = registers(bus, found.id)
+    if before["torque_enable"]:
+        tell("its torque was on: it is off")
+    _write(bus, found.id, "torque_enable", 0)
+    mode = model["operating_mode"]
+    for need in differing(model, before, asked):
+        if need.passing:
+            continue
+        if need.register != "operating_mode":
+            _write(bus, found.id, need.register, need.value)
+        tell(f"{holds(found, need.register, before[need.register])}: it becomes {need.value}")
+    other = POSITION if before["operating_mode"] == mode else before["operating_mode"]
+    for one in (other, mode):
+        _write(bus, found.id, "operating_mode", one)
+    for need in passing(found, registers(bus, found.id), asked):
+        _write(bus, found.id, need.register, need.value)
+    after = registers(bus, found.id)
+    for name in dict.fromkeys([*GAINS, *(need.register for need in needs(model, asked) if need.passing)]):
+        if after[name] != before[name]:
+            tell(f"{holds(found, name, before[name])}: it becomes {after[name]}")
+
+
+def _write(bus: _core.ServoBus, id: int, name: str, value: int) -> None:
+    address, size, _ = _core.servo_registers()[name]
+    patiently(bus.write, id, address, value.to_bytes(size, "little", signed=value < 0))

@@ -1,0 +1,399 @@
+"""Drive a robot from Python: a context manager around the process of the control loop.
+
+    with Controller(rig, calibration, limits) as robot:
+        robot.engage()
+        for u in path:
+            done = robot.target(u)   # mm in, what will be done out; call it at least every `stale` seconds
+            time.sleep(0.02)
+
+Python sends commands, never ticks; the loop guards them (docs/safety.md) and never waits for Python. A program that
+stops calling `target` is held, then slackened; one that ends or is killed likewise. Should the loop's own process die
+or freeze, the servos stop by their watchdogs and a thread of this side switches their torque off, whatever the program
+does meanwhile. A servo that has not said that it has no torque at the end is an error.
+Pinned by tests/test_controller.py and tests/test_leaving.py.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import struct
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from softmap_edge import _core
+from softmap_edge.errors import GuardStopped, RecordingBroken, ServoError, SoftmapError
+from softmap_edge.model.servo_calibration import Calibration
+from softmap_edge.robot.control import session_mark
+from softmap_edge.robot.control.shutdown import kept_words, numbers, running
+from softmap_edge.robot.control.supervisor import Watched
+from softmap_edge.robot.motion.kinematics import Kinematics
+from softmap_edge.robot.servo import status_words as words
+from softmap_edge.robot.servo.clock import FROZEN, Clock
+from softmap_edge.robot.servo.known_state import gains_of
+from softmap_edge.robot.servo.rig import Rig
+from softmap_edge.robot.servo.within_rig import check_bench
+from softmap_edge.version import __version__
+
+Floats = NDArray[np.float64]
+Report = dict[str, Any]
+
+REQUESTS = ("connect", "home", "arm", "engage", "hold", "stop", "acknowledge", "disconnect", "commission")
+STARTS = 10.0  # s until the loop's process has said something
+SAID = 2.0  # s within which every servo has said whether it has torque
+PASSING = ("torque", "trouble(late)")  # what denies a request, and may be over soon
+ACTIVE = ("engaged", "hold", "safe_stop", "commissioning")
+
+
+class Controller(Watched):
+    """The servos of `rig` driven within `limits` (`loop_limits`), commands mapped to ticks by `calibration`.
+
+    With `kinematics` (`motion.kinematics`) commands are what should act: the loop undoes the effects of its model,
+    delays aside, from what was really sent. Entering starts the loop, proves that the servos are what the rig says
+    and that home was proved since they got power (`proof.py`), and goes to READY. With `commissioning` it goes to
+    CONNECTED, home is not asked for, and small slow moves are all that is allowed (`jog.py`). Leaving slackens and
+    switches torque off, whatever happened. With `record` all that the loop hears, decides and sends goes to that file,
+    which must not exist (`recording.py`). A full disk ends the recording and not the loop: `unrecorded` then holds the
+    cause, and leaving raises `RecordingBroken`.
+    `tell` is called with lines for the user: registers rewritten by a start (`mended`), answers lost or not asked for
+    (`bus`).
+
+    Raises:
+        ServoError: a limit is missing or out of range, the loop cannot start, or a request is denied; the message says
+            why.
+    """
+
+    def __init__(
+        self,
+        rig: Rig,
+        calibration: Calibration,
+        limits: Mapping[str, Any],
+        *,
+        kinematics: Kinematics | None = None,
+        record: str | Path | None = None,
+        commissioning: bool = False,
+        tell: Callable[[str], None] = lambda line: None,
+    ) -> None:
+        count = len(rig.servos)
+        if len(calibration.b) != count or len(limits["servos"]) != count:
+            raise ServoError(
+                f"the rig has {count} servos, the calibration {len(calibration.b)}, the limits "
+                f"{len(limits['servos'])}; they must agree"
+            )
+        self.rig, self.limits = rig, dict(limits)
+        _core.check_limits(self.limits)
+        if not commissioning:
+            check_bench(rig, self.limits)
+        self.calibration = calibration.turned([servo["home"] for servo in self.limits["servos"]])
+        if kinematics is not None and kinematics.model.channels != count:
+            raise ServoError(f"the model takes {kinematics.model.channels} commands, the rig has {count} servos")
+        self.kinematics = kinematics
+        self.tell = tell
+        self._commissioning = commissioning
+        self._record = None if record is None else Path(record)
+        self._last: Report = {}
+        self._end: Report = {}
+        self._heard = threading.Condition()
+        self._process: subprocess.Popen[bytes] | None = None
+        self._orders = -1
+        self._ordering = threading.Lock()
+        self._rescuing = threading.Lock()
+        self._ending = self._drove = False
+        self._stood: Floats = np.full(count, np.nan)
+        self._done = self.calibration.b
+        self._command: Floats | None = None
+        self._drove_at: float | None = None  # s of the last target, None once it was let go of
+        self._pressed = False
+        self._silent, self._reports, self._some = 0, -1, b""
+        self._reading = threading.Lock()
+
+    def __enter__(self) -> Self:
+        session_mark.report_last(self.rig.port)
+        self._start()
+        try:
+            self._wait(lambda: None not in (self._last.get("position") or [None]), STARTS, "the servos say nothing")
+            self._mark = session_mark.begin(self.rig.port, self._record, self._process.pid if self._process else 0)
+            self._wait_for_release()
+            for request in ("connect",) if self._commissioning else ("connect", "home", "arm"):
+                self._reach(request)
+        except BaseException:
+            self.close()
+            raise
+        for line in self.mended:
+            self.tell(line)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, fault: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        ended, kept = self._close()
+        if isinstance(fault, GuardStopped) and fault.cause == self._last.get("cause"):
+            ended = ""  # the fault that ended the drive, which is reported already
+        broken = None if self.unrecorded is None or self.unrecorded in str(fault) else self.unrecorded
+        said = "; ".join(filter(None, (ended, kept, broken)))
+        if said and isinstance(fault, SoftmapError):
+            raise ServoError(f"{fault}; {said}") from fault
+        if said and fault is not None and not kept:
+            fault.add_note(said)  # it goes on as what it is: no servo has torque
+        elif said:
+            raise ServoError(said) if ended or kept else RecordingBroken(said)
+
+    @property
+    def time(self) -> Clock:
+        """The clock of the robot; that of a simulated robot may stand, or run faster than real time."""
+        return self.rig.time
+
+    def request(self, name: str, seconds: float = 3.0) -> None:
+        """Ask for `connect`, `arm`, `engage`, `hold`, `stop`, `acknowledge`, `disconnect` or `commission`.
+
+        `home` is none of them: a start alone looks whether it is proved since the servos got power.
+
+        Raises:
+            ServoError: no such request, it was denied, or the loop did not answer.
+        """
+        if name == "home":
+            raise ServoError(
+                f"the robot is in state {self.state}, and a running loop cannot prove home (turns are lost without "
+                "power); close the Controller and start another, which looks for the proof of `softmap servo home`"
+            )
+        if name not in REQUESTS:
+            raise ServoError(f"no request '{name}'; there are {', '.join(one for one in REQUESTS if one != 'home')}")
+        if name in ("connect", "acknowledge"):
+            self._reach(name, seconds)
+        else:
+            self._ask(name, seconds)
+
+    def _ask(self, name: str, seconds: float = 3.0) -> None:
+        reached = {"connect": "connected", "home": "homed", "arm": "ready", "disconnect": "off"}.get(name)
+        with self._heard:
+            self._last.pop("denied", None)
+            before = self._last.get("state")
+        engages = name == "engage"
+        self._send(self._command if engages else None, deadman=engages, request=REQUESTS.index(name) + 1)
+        if name in ("stop", "hold"):
+            return
+        self._wait(
+            lambda: self._last.get("denied") or self._last.get("state") not in (before, None),
+            seconds,
+            f"'{name}' was not answered",
+        )
+        if denied := self._last.get("denied"):
+            why = words.denied(denied, self._last, self.limits)
+            raise ServoError(self._named(f"'{name}' is denied {words.where({'state': before})}: {why}"))
+        if reached is not None and self._last["state"] != reached:
+            raise ServoError(f"'{name}' led elsewhere: {self._stopped()}")
+
+    def engage(self, u: ArrayLike | None = None) -> Floats:
+        """Switch torque on where the finger stands and go to `u` (C,) mm, by default straight.
+
+        Returns what will be done.
+
+        Raises:
+            ServoError: it is denied.
+        """
+        done = self._target(self.calibration.b if u is None else u)
+        self.request("engage")
+        return done
+
+    def target(self, u: ArrayLike) -> Floats:
+        """Send the command `u` (C,) mm; returns the one that will be done: nearest within the window of the servos.
+
+        One that is not finite is refused by the guard: then what was asked before will be done. It counts as a pressed
+        deadman: whoever stops calling it lets go.
+
+        Raises:
+            ServoError: `u` is no C numbers, or the guard is in no state that follows commands; the message says which
+                and why.
+        """
+        state = self.state
+        if state not in ("engaged", "hold", "commissioning"):
+            raise GuardStopped.by(self._stopped(), self._last.get("cause"))
+        return self._target(u)
+
+    def release(self) -> None:
+        """Let go of the deadman: the guard holds, then slackens."""
+        self._drove_at = None
+        self._send(deadman=False)
+
+    def emergency(self, pressed: bool = True) -> None:
+        """Press the emergency stop, or release it: torque is off at once and stays off until it is released and
+        `request("acknowledge")`; home is still known. May be called from any thread.
+
+        Raises:
+            ServoError: the loop does not answer; its servos were released from here.
+        """
+        self._pressed = pressed  # before anything is sent: every order says it from now on
+        self._send()
+        if not pressed:
+            return
+        off = self.rig.time.wait_for(
+            self._heard, lambda: self._last.get("emergency") and not self._last.get("torque"), FROZEN
+        )
+        process = self._process  # another thread may be closing it
+        if not off and process is not None:
+            self._rescue(process)
+            raise ServoError(str(self._last["rescued"]))
+
+    def close(self) -> None:
+        """Slacken, switch torque off, end the loop; whatever fails, torque off is sent.
+
+        Raises:
+            ServoError: a servo has not said that it has no torque, or a fault kept the finger from going home. One that
+                came before is told by whatever was called then.
+            RecordingBroken: the recording ended before the loop did.
+        """
+        if said := "; ".join(filter(None, self._close())):
+            raise ServoError(said)
+        self.check_recorded()
+
+    def _close(self) -> tuple[str, str]:
+        """Return what kept the finger from going home, and what is to be said of servos that may have torque."""
+        process = self._process
+        if process is None:
+            return "", ""
+        ended = ""
+        try:
+            if active := self._last.get("state") in ACTIVE:
+                self._send(request=REQUESTS.index("stop") + 1)
+                self.rig.time.wait_for(
+                    self._heard,
+                    lambda: self._last.get("state") not in ACTIVE or self._frozen() or "gone" in self._last,
+                    float(self.limits["slacken"]) + 2.0,
+                )
+            if active and self._last.get("state") == "fault" and not self._pressed:
+                ended = self._stopped()
+        finally:
+            with self._ordering:
+                self._ending, self._process = True, None
+                os.close(self._orders)
+                self._orders = -1
+            patience = self.rig.time.patience(3.0)
+            try:
+                with self.rig.time.running():
+                    process.wait(patience)
+            except subprocess.TimeoutExpired:
+                self._rescue(process)
+            self._reader.join(patience)
+            if process.returncode != 0 and "error" not in self._last:
+                self._rescue(process)
+            session_mark.end(self._mark)
+        if said := words.bus(self._last):
+            self.tell(said)
+        left = self._end.get("kept_torque") if self._drove else None
+        return ended, str(self._last.get("kept") or (kept_words(left) if left else ""))
+
+    # --- the loop's process -------------------------------------------------------------
+
+    def _start(self) -> None:
+        if self._record is not None and self._record.exists():
+            raise ServoError(f"{self._record} exists; give another name to record to")
+        orders, self._orders = os.pipe()
+        mine, reports = os.pipe()
+        os.set_blocking(self._orders, False)
+        setup = {
+            "port": self.rig.port,
+            "baud": self.rig.baud,
+            "servos": self.rig.numbers,
+            "homes": None if self._commissioning else [servo.home for servo in self.rig.servos],
+            "gains": [gains_of(self.rig.made, servo.id) for servo in self.rig.servos],
+            "limits": self.limits,
+            "slope": self.calibration.A.reshape(-1).tolist(),
+            "b": self.calibration.b.tolist(),
+            "home": self.calibration.home.tolist(),
+            "chain": None if self.kinematics is None else self.kinematics.document(),
+            **self.rig.emergency.setup(),
+        }
+        if self._record is not None:
+            about = {"schema": "softmap.setup/1", "softmap": __version__, "calibration": self.calibration.to_dict()}
+            setup |= {"record": str(self._record.absolute()), "setup": json.dumps(about | setup)}
+        setup["session"] = session_mark.path_of(self.rig.port)
+        # Its own session: a Ctrl-C in the terminal is for this side, which slackens and ends it in order.
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", "softmap_edge.robot.control.loop_process", str(orders), str(reports)],
+            stdin=subprocess.PIPE,
+            pass_fds=(orders, reports),
+            start_new_session=True,
+        )
+        os.close(orders)
+        os.close(reports)
+        assert self._process.stdin is not None
+        self._process.stdin.write(json.dumps(setup).encode())
+        self._process.stdin.close()
+        self._silent, self._reports, self._some = 0, mine, b""
+        self.rig.time.each_step(self._drained)
+        running.add(self)
+        self._reader = threading.Thread(target=self._watch, args=(mine, self._process), daemon=True)
+        self._reader.start()
+
+    def _reach(self, request: str, seconds: float = 3.0) -> None:
+        """Ask until it is granted: whether a servo has torque is heard five times a second, and one late answer is no
+        trouble that lasts."""
+        until = self.rig.time.now() + SAID
+        while True:
+            try:
+                return self._ask(request, seconds)
+            except ServoError:
+                if not str(self._last.get("denied")).startswith(PASSING) or self.rig.time.now() > until:
+                    raise
+            self.rig.time.sleep(0.05)
+
+    def _wait_for_release(self) -> None:
+        """Wait while an emergency stop of the bench is pressed: a heartbeat needs a moment to be heard."""
+        heard, last = self._heard, self._last
+        if not self.rig.time.wait_for(heard, lambda: not last.get("emergency") or "gone" in last, STARTS):
+            raise ServoError(
+                f"the emergency stop is pressed or dead ({self.rig.emergency}); release it, start `softmap servo "
+                "heartbeat` on its computer, or mend [emergency] of rig.toml"
+            )
+
+    def _wait(self, what: Callable[[], Any], seconds: float, said: str) -> None:
+        self.rig.time.wait_for(self._heard, lambda: what() or "error" in self._last or "gone" in self._last, seconds)
+        with self._heard:
+            last, came = self._last, what()
+        if "error" in last:
+            raise ServoError(self._named(str(last["error"])))
+        if "gone" in last:
+            raise ServoError(str(last["gone"]))
+        if not came:
+            raise ServoError(f"{said} within {seconds:g} s (bus: {last.get('bus')}); check power and wiring")
+
+    def _send(self, command: Floats | None = None, *, deadman: bool = False, request: int = 0) -> None:
+        numbers = np.zeros(len(self.rig.servos)) if command is None else command
+        flags = (1 if deadman else 0) | (2 if self._pressed else 0) | (4 if command is not None else 0)
+        frame = struct.pack(f"<BB6xQ{len(numbers)}d", flags, request, round(self.rig.time.now() * 1e9), *numbers)
+        try:
+            with self._ordering:  # an emergency stop of another thread may come at any time, also before and after
+                if self._process is not None:
+                    os.write(self._orders, frame)
+        except (BlockingIOError, BrokenPipeError):
+            self._rescue_if_needed()
+
+    def _target(self, command: ArrayLike) -> Floats:
+        u, shape = numbers(command), self.calibration.b.shape
+        if u is None or u.shape != shape:
+            found = f"'{command!s:.40}'" if u is None else f"of shape {u.shape}"
+            raise ServoError(f"a command {found}, expected shape {shape}: {shape[0]} real numbers, one a servo")
+        self._command, self._drove_at = u, self.rig.time.now()
+        self._send(u, deadman=True)
+        if np.isfinite(u).all():
+            self._done = self._nearest(u)
+        return self._done.copy()
+
+    def _nearest(self, u: Floats) -> Floats:
+        if self.kinematics is not None and self.kinematics.model.chain_names:
+            return np.clip(u, *self.kinematics.acting_bounds.T)
+        return self.calibration.within(u, *([one[end] for one in self.limits["servos"]] for end in ("low", "high")))
+
+    def _let_go(self) -> None:
+        """In a child that a program forks: close its copy of the orders' pipe, which would outlive the program."""
+        if self._orders >= 0:
+            os.close(self._orders)
+            self._orders, self._process = -1, None

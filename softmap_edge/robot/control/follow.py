@@ -1,0 +1,54 @@
+"""Follow a recording while a loop writes it: the periods that are new since one asked last.
+
+The compiled core reads it (`rust/control/recording.rs`); what is not yet whole is read when it is. A recording is
+somebody else's file: what is damaged ends it with a reason. Pinned by tests/test_live.py.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from softmap_edge import _core
+from softmap_edge.errors import RunError, SoftmapError
+from softmap_edge.robot.control.recording import LOOP, SETUP
+
+Document = dict[str, Any]
+
+
+class Following:
+    """A recording that grows.
+
+    `.setup` is the document of the loop once it is there, `.ended` whether its loop has closed it.
+
+    Raises:
+        RunError: there is no such file.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        self._path = Path(path)
+        self.setup: Document | None = None
+        self.ended = False
+        try:
+            self._recording = _core.Reading(str(path))
+        except SoftmapError as fault:
+            raise RunError(f"{fault}; give the file that a loop records to (--record)") from None
+
+    def new(self) -> list[Document]:
+        """Return the periods that came since the last call.
+
+        Raises:
+            RunError: what is there is no recording of a loop.
+        """
+        try:
+            messages, self.ended = self._recording.more()
+            documents = [(topic, json.loads(message)) for topic, _, message in messages if topic in (SETUP, LOOP)]
+        except SoftmapError as fault:
+            raise RunError(str(fault)) from None
+        except (ValueError, RecursionError) as fault:
+            raise RunError(f"{self._path}: damaged ({type(fault).__name__} {fault!s:.60}); record again") from None
+        if not all(isinstance(document, dict) for _, document in documents):
+            raise RunError(f"{self._path}: damaged (a message that is no object); record again")
+        self.setup = next((document for topic, document in documents if topic == SETUP), self.setup)
+        return [document for topic, document in documents if topic == LOOP]

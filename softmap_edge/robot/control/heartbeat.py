@@ -1,0 +1,42 @@
+"""The emergency stop on another computer: a heart that beats over UDP while nobody presses it.
+
+    with Heart("robot.local", 5006, read_key("stop.key")) as heart:
+        while True:
+            heart.beat(pressed=button())
+            time.sleep(0.02)
+
+Whoever stops beating has pressed it: the control loop switches torque off (docs/safety.md). Datagrams and sessions are
+those of `rust/control/heartbeat.rs`, which listens. Pinned by tests/test_emergency.py.
+"""
+
+from __future__ import annotations
+
+import struct
+import time
+
+from softmap_edge.robot.link.session import TAG, Sender, signed
+
+MARK, OFFER_MARK = b"SMB1", b"SMC1"
+_BODY = struct.Struct("<4sB16sQQ")
+BEAT = _BODY.size + TAG
+PRESSED = 1
+
+
+class Heart(Sender):
+    """Beats for the robot at `host`:`port`, signed with `key`; a context manager. Closing it presses the stop.
+
+    `.heard` says whether the robot has answered: what beats for nobody holds nobody.
+
+    Raises:
+        LinkError: no such host or port, or the key is too short.
+    """
+
+    def __init__(self, host: str, port: int, key: bytes) -> None:
+        mend = "give the host, and the port in [emergency] of the robot's rig.toml"
+        super().__init__(host, port, key, OFFER_MARK, mend)
+
+    def beat(self, pressed: bool = False) -> bool:
+        """Beat once, and say whether the stop is `pressed`; False where it could not be sent just now."""
+        session, sequence = self._next()
+        flags = PRESSED if pressed else 0
+        return self._put(signed(self._key, _BODY.pack(MARK, flags, session, sequence, time.monotonic_ns())))

@@ -1,0 +1,64 @@
+"""The process of the control loop: Rust alone once it runs.
+
+Its command is `python -m softmap_edge.robot.control.loop_process ORDERS REPORTS < setup`.
+
+ORDERS and REPORTS are descriptors of pipes; the setup is a JSON document on standard input (`Controller`). What cannot
+be started is reported as `{"error": …}`. Set-up and home of the servos are checked here, as late as possible: the guard
+detects a servo that loses its turns afterwards. Registers that a start rewrites (a profile, gains) are reported as
+`{"mended": […]}`. Where a fault made home unknown, its
+proof is taken from the servos at the end. Pinned by tests/test_controller.py and tests/test_bad_input.py.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from typing import Any
+
+from softmap_edge import _core
+from softmap_edge.errors import SoftmapError
+from softmap_edge.robot.control.session_mark import note_released
+from softmap_edge.robot.link.session import read_key
+from softmap_edge.robot.servo.bus import opened
+from softmap_edge.robot.servo.examined import members_of, started
+from softmap_edge.robot.servo.home_mark import check_proved, forget
+
+
+def main() -> int:
+    """Run the loop of the setup on standard input; 0 when its orders ended."""
+    orders, reports = int(sys.argv[1]), int(sys.argv[2])
+    told = os.dup(reports)  # the loop closes its own
+    try:
+        setup = json.load(sys.stdin)
+        homes, session = setup.pop("homes"), setup.pop("session", None)
+        servos = members_of(setup["servos"], setup["limits"], setup.pop("gains", ()))
+        if mended := started(setup["port"], setup["baud"], servos):
+            _report(told, mended=mended)
+        if homes is not None:
+            _check_home(setup["port"], setup["baud"], setup["servos"], homes)
+        if setup["gpio"] is not None:
+            setup["gpio"] = tuple(setup["gpio"])
+        if setup["heartbeat"] is not None:
+            host, port, key_file, timeout = setup["heartbeat"]
+            setup["heartbeat"] = host, port, read_key(key_file), timeout
+        if _core.control_loop(orders, reports, **setup):
+            forget(setup["port"], setup["baud"], [id for id, _ in setup["servos"]])  # a fault made home unknown
+        note_released(session)
+    except SoftmapError as fault:
+        _report(told, error=str(fault))
+        return 1
+    return 0
+
+
+def _report(pipe: int, **entries: Any) -> None:
+    os.write(pipe, (json.dumps({"schema": "softmap.loop/1"} | entries) + "\n").encode())
+
+
+def _check_home(port: str, baud: int, servos: list[list[int]], homes: list[int | None]) -> None:
+    with opened(port, baud) as bus:
+        check_proved(bus, [(id, home) for (id, _), home in zip(servos, homes)])
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,209 @@
+"""The process of a control loop, watched by a thread: its reports, and what follows when it dies or freezes.
+
+`controller.py` starts it. Pinned by tests/test_nobody_watches.py.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import select
+import subprocess
+import threading
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softmap_edge.errors import RecordingBroken, ServoError
+from softmap_edge.robot.control.recording_end import broken_recording
+from softmap_edge.robot.control.shutdown import kept_words
+from softmap_edge.robot.remedies import filled
+from softmap_edge.robot.servo import status_words as words
+from softmap_edge.robot.servo.bus import kept_torque, opened
+from softmap_edge.robot.servo.rig import Rig
+
+LOOK = 0.1  # s between two looks for reports
+
+
+def _has_more(pipe: int, seconds: float) -> bool:
+    """Return whether a pipe has bytes or has ended, after waiting for at most `seconds`."""
+    poll = select.poll()  # `select` takes descriptors below 1024 only
+    poll.register(pipe, select.POLLIN)
+    return bool(poll.poll(1e3 * seconds))
+
+
+class Watched:
+    """What is heard of a loop, and who releases its servos when it can do so no more."""
+
+    rig: Rig
+    limits: dict[str, Any]
+    at_terminal: bool = False  # whether a command of the CLI drives: its user has no methods to call
+    _drove_at: float | None
+    _last: dict[str, Any]
+    _end: dict[str, Any]
+    _heard: threading.Condition
+    _rescuing: threading.Lock
+    _process: subprocess.Popen[bytes] | None
+    _reader: threading.Thread
+    _silent: int  # looks of the reader, one after the other, that found no report: a frozen program itself misses one
+    _reports: int  # the pipe that reports come through, -1 without one
+    _reading: threading.Lock
+    _some: bytes  # of a report that is not complete yet
+    _ending: bool
+    _drove: bool
+    _stood: NDArray[np.float64]
+    _record: Path | None
+    _broken: str | None = None  # why the recording was interrupted
+    _recorded = False  # whether the recording was checked after the end of the loop
+    _mark: Path | None = None  # of the session
+
+    @property
+    def state(self) -> str:
+        """Where the guard stands: `off`, `connected`, `homed`, `ready`, `engaged`, `hold`, `safe_stop`, `fault`, …"""
+        self._rescue_if_needed()
+        return str(self._last.get("state", "off"))
+
+    @property
+    def position(self) -> NDArray[np.float64]:
+        """Where the servos stand (C,), ticks, by the last report that heard each: one lost answer is no place."""
+        return self._stood.copy()
+
+    @property
+    def report(self) -> dict[str, Any]:
+        """The newest report of the loop (softmap.loop/1)."""
+        return dict(self._last)
+
+    @property
+    def ended(self) -> dict[str, Any]:
+        """The last report: why the loop ended and how it kept its time; empty while it runs."""
+        return dict(self._end)
+
+    @property
+    def recording(self) -> Path | None:
+        """The file that is recorded to; it can be read while it grows."""
+        return self._record
+
+    @property
+    def unrecorded(self) -> str | None:
+        """Why the recording ended before the loop (a full disk, for example); None if it goes on or is complete."""
+        if self._record is not None and self._broken is None and not self._recorded:
+            ended = bool(self._end) and self._process is None
+            lost = int(self._end.get("lost", 0)) if ended else 0
+            self._broken = broken_recording(self._record, self._last.get("unrecorded"), lost, ended)
+            self._recorded = ended
+        return self._broken
+
+    def check_recorded(self) -> None:
+        """Raise RecordingBroken if a recording ended before the loop."""
+        if self.unrecorded is not None:
+            raise RecordingBroken(self.unrecorded)
+
+    @property
+    def mended(self) -> list[str]:
+        """A line for each register that this start rewrote because its value differed."""
+        return list(self._last.get("mended", []))
+
+    @property
+    def bus(self) -> dict[str, int]:
+        """Counts of answers on the bus so far: `asked` for, `lost`, `damaged` and `unasked`."""
+        return {name: int(self._last.get(name, 0)) for name in words.BUS}
+
+    def _stopped(self) -> str:
+        """Return state, cause and what to do, for who drives: a command of the CLI, or a program."""
+        what = self._silence() or words.where(self._last, self.limits)
+        do = words.onward(self._last, terminal=self.at_terminal, bench=self.rig.file is not None)
+        return self._named(f"the robot is {what}; {do}")
+
+    def _named(self, said: str) -> str:
+        """Return a message whose commands name the file of the rig, if it came from one."""
+        return filled(said, self.rig.file)
+
+    def _silence(self) -> str | None:
+        """Return state and cause where the guard let go because this program sent no target: that is the key."""
+        silent = 0.0 if self._drove_at is None else self.rig.time.now() - self._drove_at
+        if self._last.get("cause") not in ("deadman", "stale") or silent <= float(self.limits["stale"]):
+            return None
+        return f"in state {words.state(self._last)} (this program sent no target for {silent:.1f} s)"
+
+    def _watch(self, pipe: int, process: subprocess.Popen[bytes]) -> None:
+        """Take the loop's reports until it ends; release its servos if it dies or freezes under torque."""
+        whole = False
+        while not whole:
+            if _has_more(pipe, LOOK):
+                whole = not self._take()
+                continue
+            self._silent += 1
+            if self._frozen() and self._last.get("torque") and not self._ending:
+                self._rescue(process)
+        with self._reading:
+            self._reports = -1
+            os.close(pipe)
+        if not self._ending and not self._end and "error" not in self._last:
+            self._rescue(process)
+        with self._heard:
+            self._last.setdefault("gone", self._last.get("rescued", "the process of the control loop has ended"))
+            self._heard.notify_all()
+
+    def _take(self) -> bool:
+        """Process received reports; return whether more may come. Also called after each step of simulated time."""
+        with self._reading:
+            while self._reports >= 0 and _has_more(self._reports, 0.0):
+                self._silent, more = 0, os.read(self._reports, 65536)
+                if not more:
+                    return False
+                *lines, self._some = (self._some + more).split(b"\n")
+                for line in lines:
+                    self._hear(json.loads(line))
+        return True
+
+    def _drained(self) -> None:
+        """Process all received reports, so that the known state of the loop is the newest."""
+        self._take()
+
+    def _hear(self, document: dict[str, Any]) -> None:
+        with self._heard:
+            self._drove |= bool(document.get("torque"))
+            if "ended" in document:
+                self._end = document
+            elif "rescued" not in self._last:  # what was said before is no news then
+                denied = self._last.get("denied")
+                self._last |= document
+                self._last["denied"] = document.get("denied") or denied
+                heard = np.array([np.nan if at is None else at for at in document.get("position", [])], float)
+                if heard.shape == self._stood.shape:
+                    self._stood = np.where(np.isnan(heard), self._stood, heard)
+            self._heard.notify_all()
+
+    def _frozen(self) -> bool:
+        return self._silent * LOOK >= self.rig.time.frozen - 0.5 * LOOK
+
+    def _rescue_if_needed(self) -> None:
+        process = self._process
+        if process is None or "error" in self._last:
+            return
+        if process.poll() is not None and self._reader is not threading.current_thread():
+            self._reader.join(self.rig.time.patience(0.6))  # why it ended is being read
+        if (process.poll() is not None and not self._end and "error" not in self._last) or self._frozen():
+            self._rescue(process)
+
+    def _rescue(self, process: subprocess.Popen[bytes]) -> None:
+        """End the loop and switch torque off from here, once: the servos hold by their watchdogs."""
+        with self._rescuing:
+            if "rescued" in self._last:
+                return
+            process.kill()
+            process.wait()
+            said, kept = "the control loop died or froze; its servos were released from here", ""
+            try:
+                with opened(self.rig.port, self.rig.baud, shared=True) as bus:
+                    if left := kept_torque(bus, [servo.id for servo in self.rig.servos]):
+                        kept = kept_words(left)
+                        said = f"the control loop died or froze; torque off was sent from here, but {kept}"
+            except ServoError as fault:
+                kept = f"the servos could not be released ({fault}): switch them off"
+                said = f"the control loop died or froze, and {kept}"
+            with self._heard:
+                self._last |= {"state": "fault", "cause": "loop", "torque": bool(kept), "rescued": said, "kept": kept}
+                self._heard.notify_all()

@@ -1,0 +1,81 @@
+"""Is this computer fit to drive a robot: everything is looked at, nothing moves, each fault comes with its remedy.
+
+    from softmap_edge.robot.doctor import examine
+    print(examine())
+
+Nothing is sent to a servo unless a rig is given, and then only questions. `host.py` looks at the computer, `bench.py`
+at what belongs to one bench. Pinned by tests/test_doctor.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from softmap_edge.robot.finding import FAULT, OK, WARNING, Line
+from softmap_edge.robot.remedies import filled
+from softmap_edge.version import __version__
+
+__all__ = ["FAULT", "OK", "WARNING", "Examined", "Line", "examine"]
+
+
+@dataclass(frozen=True)
+class Examined:
+    """All that was looked at; it is `well` when there is no fault."""
+
+    lines: tuple[Line, ...]
+
+    @property
+    def well(self) -> bool:
+        """Whether nothing is at fault; warnings are none."""
+        return all(line.state != FAULT for line in self.lines)
+
+    def __str__(self) -> str:
+        count = {state: sum(line.state == state for line in self.lines) for state in (OK, WARNING, FAULT)}
+        told = ", ".join(f"{n} {state}{'s' if n != 1 and state != OK else ''}" for state, n in count.items())
+        return "\n".join([*map(str, self.lines), told])
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the document softmap.doctor/1."""
+        lines = [asdict(line) for line in self.lines]
+        return {"schema": "softmap.doctor/1", "softmap": __version__, "well": self.well, "lines": lines}
+
+
+def examine(rig: str | Path | None = None, bundle: str | Path | None = None, camera: str | None = None) -> Examined:
+    """Look at everything: this computer, and what is given of a bench.
+
+    Args:
+        rig: a `rig.toml`, whose port is opened and whose servos are asked what they are. bundle: its folder. camera:
+            number of a camera, which is opened and closed. With bench and bundle the limits in force are looked at.
+    """
+    from softmap_edge.robot.doctor import bench, host
+
+    looks: list[Callable[[], Iterable[Line]]] = [
+        host.versions,
+        host.processor,
+        host.real_time,
+        lambda: host.ports(host.DEV, rig),
+        host.latency,
+        host.teleoperation,
+        lambda: host.cameras(camera),
+    ]
+    looks += [] if bundle is None else [lambda: bench.bundle(bundle)]
+    looks += [] if rig is None else [lambda: bench.rig(rig, bundle)]
+    looks += [] if rig is None or bundle is None else [lambda: bench.limits(rig, bundle)]
+    files = [None if one is None else str(one) for one in (rig, bundle)]
+    lines = [line for look in looks for line in _safely(look)]
+    return Examined(
+        tuple(replace(line, do=filled(line.do, *files), found=filled(line.found, *files)) for line in lines)
+    )
+
+
+def _safely(look: Callable[[], Iterable[Line]]) -> list[Line]:
+    """Return its lines; a look that fails is a line too, for whatever it stumbles over is what a doctor is for."""
+    try:
+        return list(look())
+    except Exception as fault:
+        name = getattr(look, "__name__", "look").replace("_", " ").replace("<lambda>", "look")
+        said = f"could not be looked at ({type(fault).__name__}: {str(fault)[:120]})"
+        return [Line(name, FAULT, said, "this is a fault of softmap: please report it")]

@@ -1,0 +1,177 @@
+"""What the doctor looks at of one bench: its bundle, its rig.toml, and what its servos say when they are asked.
+
+Servos are asked only: nothing is written to them. Pinned by tests/test_doctor.py.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+import shlex
+import stat
+import textwrap
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+from softmap_edge.errors import ServoError, SoftmapError
+from softmap_edge.robot.finding import FAULT, OK, WARNING, Line, faulty
+from softmap_edge.robot.link.session import read_key
+from softmap_edge.robot.servo.bus import opened
+from softmap_edge.robot.servo.emergency import Emergency
+from softmap_edge.robot.servo.examined import Member, examined, members, members_of
+from softmap_edge.robot.servo.home_mark import check_proved
+from softmap_edge.robot.servo.known_state import differs, gains_of
+from softmap_edge.robot.servo.limits import combined
+from softmap_edge.robot.servo.models import servo_model
+from softmap_edge.robot.servo.rig import Rig, RigServo, read_rig
+
+SCAN = "run `softmap servo scan --rig FILE`"
+
+
+def bundle(folder: str | Path) -> Iterator[Line]:
+    """A bundle: whether it loads, and holds what a robot needs."""
+    from softmap_edge.model.bundle import load_bundle
+
+    try:
+        model = load_bundle(folder)
+    except (SoftmapError, OSError) as fault:
+        yield faulty("bundle", fault, "make it again, or copy the complete folder again")
+        return
+    effects = ", ".join(model.chain_names) or "none"
+    yield Line("bundle", OK, f"{folder}: {model.robot}, {model.channels} commands, effects: {effects}")
+    found = model.calibration
+    if found is None:
+        do = "run softmap calibrate with a run that has ticks"
+        yield Line("calibration", FAULT, "the bundle holds none", do)
+    else:
+        low, high = found.window or (0.0, 0.0)
+        window = f"; window {low:+.0f} to {high:+.0f} ticks about home" if found.window else ""
+        yield Line("calibration", OK, f"of {textwrap.shorten(found.run, 60, placeholder=' …')}{window}")
+    there = (Path(folder) / "safety.toml").is_file()
+    if model.safety is not None and model.safety.edited:
+        do = "look at `softmap servo limits --rig FILE`, or build the bundle again"
+        yield Line("safety.toml", WARNING, "edited since the bundle was written", do)
+    else:
+        yield Line("safety.toml", OK, "there" if there else "none: the limits are derived from the model each time")
+
+
+def limits(file: str | Path, folder: str | Path) -> Iterator[Line]:
+    """A finger on its bench: whether limits follow that the guard takes; nothing where one of the two was at fault."""
+    from softmap_edge.model.bundle import load_bundle
+
+    try:
+        bench, model = read_rig(file), load_bundle(folder)
+    except (SoftmapError, OSError):
+        return
+    if model.calibration is None:
+        return
+    try:
+        found = combined(bench, model)
+        found.table()
+    except SoftmapError as fault:
+        yield faulty("limits", fault, "`softmap servo limits` lists who sets them")
+        return
+    said = "derived from the model" if found.derived else "with those of the bundle"
+    yield Line("limits", OK, f"{said}; `softmap servo limits` prints them")
+
+
+def rig(file: str | Path, folder: str | Path | None = None) -> Iterator[Line]:
+    """A bench: whether its file is sound, its servos answer and are set up, and home is proved.
+
+    Args:
+        file: its `rig.toml`. folder: the bundle of the finger on it, whose limits the servos must carry.
+    """
+    try:
+        bench = read_rig(file)
+    except ServoError as fault:
+        do = "correct it there, or move it away and make it again with `softmap servo setup --rig FILE`"
+        yield faulty("rig", fault, do)
+        return
+    yield Line("rig", OK, f"{file}: {len(bench.servos)} servos at {bench.port}, {bench.baud} baud")
+    uncapped = [
+        servo.id
+        for servo in bench.servos
+        if servo.current_mA is None and servo_model(servo.model)["current_limit_mA"] is not None
+    ]
+    if uncapped:
+        do = "run `softmap servo pull`; until then a share of the servo's own limit is taken"
+        yield Line("ceiling", WARNING, f"no current was measured for servo {_listed(uncapped)}", do)
+    yield from _stops(bench)
+    try:
+        yield from _servos(bench, _asked(bench, folder))
+    except ServoError as fault:
+        yield faulty("bus", fault, SCAN)
+
+
+def _stops(bench: Rig) -> Iterator[Line]:
+    """Whether the bench's emergency stops can be asked: the key of a heartbeat, the chip of a line."""
+    stops, wrong = bench.emergency, []
+    if stops.udp is not None:
+        try:
+            read_key(stops.udp.key_file)
+        except (SoftmapError, OSError) as fault:
+            key = shlex.quote(str(stops.udp.key_file))
+            line, do = (
+                faulty("emergency stop", fault, ""),
+                f"`softmap servo heartbeat --new-key {key}` makes one for both",
+            )
+            wrong.append(replace(line, do=", or ".join(filter(None, [line.do, do]))))
+    if stops.gpio is not None:
+        try:
+            if not stat.S_ISCHR(os.stat(stops.gpio.chip).st_mode):
+                raise OSError(errno.ENODEV, "no GPIO chip")
+            os.close(os.open(stops.gpio.chip, os.O_RDWR | os.O_NONBLOCK))
+        except OSError as fault:
+            said = f"{stops.gpio.chip}: {(fault.strerror or 'no chip').lower()}"
+            wrong.append(Line("emergency stop", FAULT, said, "gpiodetect lists the chips; mend [emergency] of the rig"))
+    yield from wrong
+    if not wrong and stops != Emergency():
+        yield Line("emergency stop", OK, f"stops at {stops}")
+
+
+def _asked(bench: Rig, folder: str | Path | None) -> list[Member]:
+    """Return the requirements for each servo: from the limits in force if they are known, else from the rig alone."""
+    from softmap_edge.model.bundle import load_bundle
+
+    if folder is not None:
+        with contextlib.suppress(SoftmapError, OSError):
+            table = combined(bench, load_bundle(folder)).table()
+            return members_of(bench.numbers, table, [gains_of(bench.made, servo.id) for servo in bench.servos])
+    return members(bench)
+
+
+def _servos(bench: Rig, asked: list[Member]) -> Iterator[Line]:
+    seen = examined(bench.port, bench.baud, asked)
+    for servo, one in zip(bench.servos, seen):
+        name, found = f"servo {servo.id}", one.found
+        for complaint in (*one.wrong, *one.unfit):
+            yield faulty(name, complaint, SCAN)
+        if found is None or found.number != dict(bench.numbers)[servo.id] or not one.values:
+            continue
+        for need in one.passing:
+            said = differs(found, need, one.values[need.register])
+            yield Line(name, WARNING, said, "each start writes it again")
+        if not (one.wrong or one.unfit or one.passing):
+            yield Line(name, OK, f"{servo.model}, firmware {found.firmware}, set up")
+        yield _home(bench, servo, one.values["present_position"])
+
+
+def _home(bench: Rig, servo: RigServo, position: int) -> Line:
+    """Whether the home of a servo is proved, and how far (ticks) it stands from it."""
+    name = f"home of servo {servo.id}"
+    try:
+        with opened(bench.port, bench.baud) as bus:
+            check_proved(bus, [(servo.id, servo.home)])
+    except ServoError as fault:
+        return faulty(name, str(fault).removeprefix(f"servo {servo.id}: "), SCAN)
+    from softmap_edge.robot.commissioning.home import NEAR
+
+    away = position - (servo.home or 0)
+    stands = f"; it stands {away:+d} ticks from there" if abs(away) > NEAR else ""
+    return Line(name, OK, f"proved since power-up, at {servo.home}{stands}")
+
+
+def _listed(ids: list[int]) -> str:
+    return ", ".join(map(str, ids))

@@ -1,0 +1,1 @@
+"""Play commands and follow figures, and keep what was commanded and seen."""

@@ -1,0 +1,282 @@
+"""What a camera saw while a robot is driven, kept in a file as it comes: a cut loses its last second at most.
+
+A JSON document a line (softmap.seen/2): whose robot it is, how a command file's clock went, when each frame came, the
+frames that were taken, and the CRC-32 of all that. Files of softmap.seen/1 carry no CRC. Lines are only added, by a
+thread of its own, and are on the disk every half a second. With what the loop recorded meanwhile it becomes a run
+(`recorded.py`). Pinned by tests/test_record_cut.py and tests/test_recorded.py.
+"""
+
+from __future__ import annotations
+
+import base64
+import contextlib
+import json
+import math
+import os
+import queue
+import re
+import threading
+import time
+import zlib
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import TracebackType
+from typing import Any, BinaryIO, Self
+
+import numpy as np
+
+from softmap_edge.errors import RecordingBroken, RunError
+from softmap_edge.model.model import Model
+from softmap_edge.robot.link.frames import Frame, HostClock, Seen
+
+SEEN = ".seen"  # ends the name of such a file, beside what the loop recorded
+SCHEMA, UNCHECKED = "softmap.seen/2", "softmap.seen/1"
+SAFE = 0.5  # s after which what came is on the disk
+LONGEST = 1 << 24  # characters of a line
+NONE = np.zeros((0, 3))  # the points of a frame that only its time is kept of
+LOOK = 0.2  # s between two looks at what came
+LATELY = 200  # frames, the newest, that are looked through
+LATEST = 2.0  # s that a frame may take to arrive
+NAME = 200  # characters of a robot's name
+
+_CRC = re.compile(rb', "crc": "([0-9a-f]{8})"}\n$')
+
+Pair = tuple[float, float]
+
+
+@dataclass
+class Kept:
+    """What was seen: the `camera`'s clock, the frames that were `taken`, each with the look of a command file that it
+    answers (else their number), and that file's `clock`, pairs of (host s, s of the file), empty without one.
+
+    `robot` and `vertices`, how many points a frame of its whole body has, are in a file: None where they are not, or
+    where the robot is seen by markers. `lacks` is a sentence on the part that cannot be read.
+    """
+
+    clock: list[Pair] = field(default_factory=list)
+    taken: list[tuple[int, Frame]] = field(default_factory=list)
+    camera: HostClock = field(default_factory=HostClock)
+    robot: str | None = None
+    vertices: int | None = None
+    lacks: str | None = None
+
+
+def vertices_of(model: Model) -> int | None:
+    """Return how many points a frame of the whole body has; None where a model is of markers."""
+    return None if model.markers else len(model.rest)
+
+
+def seen_file(recording: str | Path) -> Path:
+    """Return the file beside a recording that holds what was seen meanwhile."""
+    return Path(recording).with_suffix(SEEN)
+
+
+class Keeper:
+    """Writes what is seen of the robot of `model` to a new file, from entering to leaving; `fault` says why it ended
+    early, if it did. `late` s is what the quickest frame takes.
+
+    Raises:
+        RunError: the file is there already, cannot be written, or could not be read again.
+    """
+
+    def __init__(self, file: Path, late: float, model: Model) -> None:
+        self.fault: str | None = None
+        self._lines: queue.SimpleQueue[dict[str, Any] | None] = queue.SimpleQueue()
+        head = {"schema": SCHEMA, "late": late, "robot": model.robot, "vertices": vertices_of(model)}
+        self._lines.put(head)
+        try:
+            _head(head)
+        except ValueError as fault:
+            raise RunError(f"{file}: {fault!s:.60}, which nothing could read again; give another") from None
+        try:
+            self._stream = open(file, "x", encoding="utf-8")  # noqa: SIM115 - closed by its thread
+        except FileExistsError:
+            raise RunError(f"{file} exists; give another name to record to") from None
+        except OSError as fault:
+            raise RunError(f"{file}: {(fault.strerror or str(fault)).lower()}; see to the folder") from None
+        self._thread = threading.Thread(target=self._write, daemon=True)
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, fault: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._lines.put(None)
+        self._thread.join()
+
+    def add(self, clock: Sequence[Pair], taken: Sequence[tuple[int, Frame]], came: Sequence[Frame]) -> None:
+        """Keep what is new (`Kept`), and when the frames that came did; never waits for the disk."""
+        if self.fault is not None:
+            return
+        texts = [[look, frame.stamp, frame.arrived, _text(frame.points)] for look, frame in taken]
+        times = [[one.stamp, one.arrived] for one in came]
+        self._lines.put({"clock": [*clock], "came": times, "taken": texts})
+
+    def _write(self) -> None:
+        saved = time.monotonic()
+        with contextlib.suppress(OSError), self._stream as stream:
+            try:
+                while (line := self._lines.get()) is not None:
+                    stream.write(with_crc(json.dumps(line)))
+                    if time.monotonic() - saved > SAFE:
+                        stream.flush()
+                        os.fsync(stream.fileno())
+                        saved = time.monotonic()
+                stream.flush()
+                os.fsync(stream.fileno())
+            except OSError as fault:
+                self.fault = (fault.strerror or str(fault)).lower()
+
+
+@contextlib.contextmanager
+def keeping(recording: str | Path, seen: Seen, model: Model, late: float = 0.0) -> Iterator[Keeper]:
+    """Keep every frame that is seen meanwhile beside a recording: with that it is a run of the robot of `model`.
+
+    Args:
+        seen: gives the frames that have arrived, oldest first. late: s that the quickest frame takes.
+
+    Raises:
+        RunError: something is kept there already, or cannot be.
+        RecordingBroken: on leaving; it could be kept no more, on a full disk perhaps.
+    """
+    camera, end = HostClock(late), threading.Event()
+    number = 0
+
+    def look() -> None:
+        nonlocal number
+        for frame in camera.add(seen()[-LATELY:]):
+            keeper.add([], [(number, frame)], [frame])
+            number += 1
+
+    def watch() -> None:
+        try:
+            while not end.wait(LOOK):
+                look()
+            look()
+        except Exception as fault:  # whatever `seen` raises: the robot goes on, and it is told
+            keeper.fault = f"{type(fault).__name__}: {fault!s:.80}"
+
+    with Keeper(seen_file(recording), late, model) as keeper:
+        watching = threading.Thread(target=watch, daemon=True)
+        watching.start()
+        try:
+            yield keeper
+        finally:
+            end.set()
+            watching.join()
+    if keeper.fault is not None:
+        raise RecordingBroken(f"{keeper.fault}: {seen_file(recording)}; what was seen until then is kept")
+
+
+def read_kept(file: Path) -> Kept:
+    """Return what was kept: every line whose checksum is right, to the last whole one.
+
+    Raises:
+        RunError: it is no such file, or damaged where no checksum shows which part.
+    """
+    try:
+        if file.exists() and not file.is_file():
+            raise ValueError("no file of bytes")
+        with open(file, "rb") as lines:
+            text, checked = _checked(lines.readline(LONGEST))
+            head = json.loads(text)
+            kept = _head(head)
+            if not checked and head["schema"] != UNCHECKED:
+                raise ValueError("its first line fails its checksum")
+            _read_lines(lines, kept, checked, file)
+    except OSError as fault:
+        raise RunError(f"{file}: {(fault.strerror or '').lower()}; give what was kept beside a recording") from None
+    except (ValueError, KeyError, TypeError, IndexError, OverflowError, RecursionError) as fault:
+        said = "".join(c if c.isprintable() else "?" for c in f"{fault!s:.60}")
+        raise RunError(
+            f"{file}: damaged, or not what is kept beside a recording ({said}); without it the recording is one of "
+            "which nothing was seen"
+        ) from None
+    return kept
+
+
+def _read_lines(lines: BinaryIO, kept: Kept, checked: bool, file: Path) -> None:
+    """Add to `kept` what the lines after the first hold, and what cannot be read of them."""
+    wrong, count, line = [], 1, b"\n"
+    while (line := lines.readline(LONGEST)).endswith(b"\n"):
+        count += 1
+        text, sound = _checked(line)
+        if checked and not sound:
+            wrong.append(count)
+            continue
+        _add(kept, json.loads(text))
+    if len(line) >= LONGEST:
+        raise ValueError(f"a line of more than {LONGEST} characters")
+    parts = [f"{file} was cut short: its last line is torn, and what was seen after it is missing"] if line else []
+    if wrong:
+        parts.append(
+            f"{file} is damaged: {len(wrong)} of {count} lines fail their checksum, the first is line {wrong[0]}; "
+            "the frames in them are left out"
+        )
+    if not checked:
+        parts.append(f"{file} carries no checksum: numbers that were damaged would not be noticed")
+    kept.lacks = "; ".join(parts) or None
+
+
+def _add(kept: Kept, one: Any) -> None:
+    kept.camera.add([_frame(stamp, arrived, NONE) for stamp, arrived in _list(one["came"])])
+    kept.clock += [(_number(host), _number(at)) for host, at in _list(one["clock"])]
+    kept.taken += [
+        (int(_number(look)), _frame(stamp, arrived, _points(text)))
+        for look, stamp, arrived, text in _list(one["taken"])
+    ]
+
+
+def with_crc(document: str) -> str:
+    """Return a line: a JSON document with its own CRC-32 as the last entry."""
+    return f'{document[:-1]}, "crc": "{zlib.crc32(document.encode()):08x}"}}\n'
+
+
+def _checked(line: bytes) -> tuple[bytes, bool]:
+    """Return the document of a line without its checksum, and whether that is there and right."""
+    found = _CRC.search(line)
+    if found is None:
+        return line, False
+    document = line[: found.start()] + b"}"
+    return document, zlib.crc32(document) == int(found[1], 16)
+
+
+def _head(head: Any) -> Kept:
+    """Return what the first line says, of which nothing is kept yet."""
+    late, robot, vertices = _number(head["late"]), head.get("robot"), head.get("vertices")
+    if head["schema"] not in (SCHEMA, UNCHECKED):
+        raise ValueError(f"schema {head['schema']!s:.20}")
+    if not 0.0 <= late <= LATEST:
+        raise ValueError(f"frames {late:g} s late, 0 to {LATEST:g} s is allowed")
+    if robot is not None and not (isinstance(robot, str) and len(robot) <= NAME and robot.isprintable()):
+        raise ValueError("the name of the robot")
+    if vertices is not None and not (type(vertices) is int and vertices >= 1):
+        raise ValueError("the number of vertices")
+    return Kept(camera=HostClock(late), robot=robot, vertices=vertices)
+
+
+def _list(found: Any) -> list[Any]:
+    if not isinstance(found, list):
+        raise TypeError(f"a list is {type(found).__name__}")
+    return found
+
+
+def _number(found: Any) -> float:
+    if type(found) not in (int, float) or not math.isfinite(found):
+        raise ValueError(f"'{found!s:.20}' is no finite number")
+    return float(found)
+
+
+def _frame(stamp: Any, arrived: Any, points: Any) -> Frame:
+    return Frame(_number(stamp), _number(arrived), points)
+
+
+def _text(points: Any) -> str:
+    return base64.b64encode(np.ascontiguousarray(points, "<f8").tobytes()).decode("ascii")
+
+
+def _points(text: str) -> Any:
+    return np.frombuffer(base64.b64decode(text, validate=True), "<f8").reshape(-1, 3)

@@ -1,0 +1,142 @@
+"""When each row of a command file is played on servos: slowed where they may not be as fast, waiting where it rests.
+
+A row is reached `t` s after the one before, or as much later as the slew limit and the following error of the servos
+ask. A *rest* is a
+stretch of rows with one command, of `LEAST` s and more: the file's clock stands at its first row until the robot has
+settled. A *stop* is a row from which on something is to be done by hand (a note, another gravity or load).
+Settled is, over `SPAN` s: no servo moves by more than `TICKS` ticks, and what is seen moves by no more than `STILL` mm
+(RMS over its points) beyond what its own scatter explains. After `PATIENCE` s it goes on all the same: a body that
+creeps is never still. Pinned by tests/test_record_robot.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softmap_edge.errors import SoftmapError
+from softmap_edge.model.servo_calibration import Calibration
+from softmap_edge.robot.link.frames import Frame
+from softmap_edge.run.protocol import Protocol
+
+Floats = NDArray[np.float64]
+
+LEAST = 0.5  # s
+SPAN, TICKS, STILL = 0.3, 3, 0.05  # s, ticks, mm
+PATIENCE = 3.0  # s
+SHARE = 0.9  # of the slew limit that a file is played at, at most
+ANSWER = 0.25  # s by which servos may be late (the trunk's: 0.24): at speed they are that far behind their goals
+BEHIND = 0.75  # of the following error that is allowed
+FEWEST = 3  # frames in each half of a span, to tell whether what is seen stands
+
+
+@dataclass(frozen=True, eq=False)
+class Pace:
+    """A command file as it is played.
+
+    Attributes:
+        made: the file. t: (T,) s at which its rows are due, waiting left out. rests: (T,) bool, first rows of rests.
+        stops: row → what is to be done by hand there. looks: (K,) s at which a frame is wanted.
+    """
+
+    made: Protocol
+    t: Floats
+    rests: NDArray[np.bool_]
+    stops: dict[int, str]
+    looks: Floats
+
+    def command(self, now: float) -> Floats:
+        """Return the command (C,) at a time of `t`."""
+        return np.array([np.interp(now, self.t, column) for column in self.made.command.T])
+
+    def row(self, now: float) -> int:
+        """Return the row that holds at a time of `t`."""
+        return int(np.clip(np.searchsorted(self.t, now, side="right") - 1, 0, len(self.t) - 1))
+
+
+def pace(made: Protocol, calibration: Calibration, servos: Sequence[dict[str, float]]) -> Pace:
+    """Return how a command file is played on `servos` (their limits: low, high, slew, following).
+
+    Raises:
+        SoftmapError: it has another number of commands, another unit, or asks for what lies outside the servos' window.
+    """
+    channels = made.command.shape[1]
+    if channels != len(calibration.b) or made.unit != calibration.unit:
+        raise SoftmapError(
+            f"the command file has {channels} commands in {made.unit}, the robot takes {len(calibration.b)} in "
+            f"{calibration.unit}; write one for it with `softmap next --bundle`"
+        )
+    ticks = calibration.ticks(made.command).astype(float)
+    low, high, slew, following = (
+        np.array([one[name] for one in servos], float) for name in ("low", "high", "slew", "following")
+    )
+    outside = np.maximum(low - ticks, ticks - high)
+    if outside.max() > 1.0:
+        k, c = np.unravel_index(int(np.argmax(outside)), outside.shape)
+        raise SoftmapError(
+            f"row {k + 1}: command {made.command[k, c]:g} {made.unit} is tick {ticks[k, c]:.0f} of servo {c}, its "
+            f"window is {low[c]:.0f} to {high[c]:.0f}; write a file of a smaller range, or measure the window anew"
+        )
+    fastest = np.minimum(SHARE * slew, BEHIND * following / ANSWER)
+    least = (np.abs(np.diff(ticks, axis=0)) / fastest).max(axis=1)
+    step = np.diff(made.t)
+    # A step asks for its whole way at once; the path between is left to the guard.
+    t = np.concatenate([[0.0], np.cumsum(np.maximum(step, least))])
+    return Pace(made, t, _rests(made), _stops(made), np.interp(made.t_seen, made.t, t))
+
+
+def _rests(made: Protocol) -> NDArray[np.bool_]:
+    still = np.all(np.abs(np.diff(made.command, axis=0)) < 1e-9, axis=1)
+    begins = np.flatnonzero(still & ~np.concatenate([[False], still[:-1]]))
+    rests = np.zeros(len(made.t), bool)
+    for k in begins:
+        moves = np.flatnonzero(~still[k:])
+        end = k + int(moves[0]) if len(moves) else len(made.t) - 1
+        rests[k] = made.t[end] - made.t[k] >= LEAST
+    return rests
+
+
+def _stops(made: Protocol) -> dict[int, str]:
+    """Return rows with a note, and those where a condition changes that no note since the last look tells."""
+    stops = {int(np.clip(np.searchsorted(made.t, t - 1e-9), 0, len(made.t) - 1)): text for t, text in made.notes}
+    load = np.zeros(len(made.t)) if made.load is None else made.load
+    changes = np.any(np.abs(np.diff(made.gravity, axis=0)) > 1e-6, axis=1) | (np.abs(np.diff(load)) > 1e-9)
+    for k in np.flatnonzero(changes) + 1:
+        looked = made.t_seen[made.t_seen < made.t[k]]
+        since = looked[-1] if len(looked) else -np.inf
+        if not any(since < made.t[row] <= made.t[k] for row in stops):
+            stops[int(k)] = f"from here on: {condition(made, int(k))}"
+    return stops
+
+
+def condition(made: Protocol, row: int) -> str:
+    """Return how the robot stands at a row, in words."""
+    down = " ".join(f"{g:.2f}" for g in made.gravity[row])
+    load = 0.0 if made.load is None else made.load[row]
+    return f"gravity points along {down}, {load:g} g hang at the tip"
+
+
+def servos_still(history: Sequence[tuple[float, Sequence[float]]], now: float) -> bool:
+    """Return whether no servo moved over the last `SPAN` s of (s, ticks) that were heard."""
+    last = [ticks for t, ticks in history if t >= now - SPAN]
+    whole = bool(history) and history[0][0] <= now - SPAN and len(last) >= FEWEST
+    return whole and bool(np.all(np.ptp(np.array(last), axis=0) <= TICKS))
+
+
+def view_still(frames: Sequence[Frame], since: float, now: float) -> bool:
+    """Return whether what was seen stands, in the frames that arrived after `since` within the last `SPAN` s or so."""
+    last = [frame.points for frame in frames if frame.arrived > max(since, now - 3 * SPAN)][-4 * FEWEST :]
+    half = len(last) // 2
+    if half < FEWEST:
+        return False
+    early, late = np.array(last[:half], float), np.array(last[half:], float)
+    shown = np.isfinite(early).all(axis=(0, 2)) & np.isfinite(late).all(axis=(0, 2))
+    if not shown.any():
+        return False
+    early, late = early[:, shown], late[:, shown]
+    moved = float(np.mean(np.sum((late.mean(axis=0) - early.mean(axis=0)) ** 2, axis=1)))
+    scatter = [part.var(axis=0, ddof=1).sum(axis=1).mean() / len(part) for part in (early, late)]
+    return moved - float(sum(scatter)) <= STILL**2

@@ -1,0 +1,131 @@
+"""What a control loop recorded and what a camera saw meanwhile, as one run.
+
+`softmap track S --sim --record s.mcap` leaves `s.mcap` and beside it `s.seen` (`kept.py`); whoever opens the first as a
+run gets both. Pinned by tests/test_recorded.py and tests/test_record_robot.py.
+"""
+
+from __future__ import annotations
+
+import shlex
+import warnings
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softmap_edge.errors import RecordingWarning, RunError
+from softmap_edge.model.model import Model
+from softmap_edge.model.servo_calibration import TICKS, converted
+from softmap_edge.robot.control.recording import Recording, read_recording
+from softmap_edge.robot.drive.observations import read_kept, seen_file
+from softmap_edge.robot.link.frames import Frame, HostClock
+from softmap_edge.run.run import DAMAGE, Run
+
+RECORDING = ".mcap"
+
+
+def open_run(path: str | Path, model: Model | None = None) -> Run:
+    """Return the run of a file: .npz, or what a control loop recorded (.mcap) with what was seen, if kept beside it.
+
+    A recording that was cut short, or is damaged at one place, is read up to there, and a `RecordingWarning` is issued.
+
+    Args:
+        path: the file.
+        model: what the run is for. One in mm without a calibration cannot read ticks: it gets mm, by the map that was
+            driven with.
+
+    Raises:
+        RunError: neither, damaged where nothing shows, torque was never on, nothing that was seen belongs to it, or it
+            was made by `softmap record`, which alone knows what was declared.
+    """
+    run, incomplete = open_incomplete(path, model)
+    if incomplete is not None:
+        warnings.warn(RecordingWarning(incomplete), stacklevel=2)
+    return run
+
+
+def open_incomplete(path: str | Path, model: Model | None = None) -> tuple[Run, str | None]:
+    """Return the run as `open_run` does, without a warning, and a sentence on missing data; None if it is complete.
+
+    Raises:
+        RunError: as `open_run`.
+    """
+    file = Path(path)
+    if file.suffix.lower() != RECORDING:
+        return Run.load(file), None
+    recording = read_recording(file)
+    if recording.doubtful:
+        raise RunError(
+            f"{recording.incomplete}; copy it again, or take it as it is by `softmap replay {shlex.quote(str(file))} "
+            "--run RUN.npz`"
+        )
+    return run_of(recording, model)
+
+
+def run_of(recording: Recording, model: Model | None = None) -> tuple[Run, str | None]:
+    """Return a recording as a run with the frames of its `.seen` file if there is one, and a sentence on missing data.
+
+    Raises:
+        RunError: as `open_run`, but for numbers that may be wrong.
+    """
+    beside = seen_file(recording.file)
+    run, lacks = _seen(recording, beside) if beside.exists() else (recording.run(), None)
+    if recording.incomplete is not None and not beside.exists():
+        lacks = f"its file {beside.name} is missing, so the run has no seen frames"
+    lacks = "; ".join(filter(None, [recording.incomplete, lacks])) or None
+    if lacks is not None:
+        run = replace(run, extra=run.extra | {DAMAGE: np.array(lacks)})
+    kept = model is None or model.calibration is not None or model.command_unit == TICKS
+    return run if kept else converted(model, run), lacks
+
+
+def _seen(recording: Recording, beside: Path) -> tuple[Run, str | None]:
+    """Return a recording with what was kept of what was seen, and a sentence on the part of that which is missing."""
+    kept = read_kept(beside)
+    if kept.clock:
+        raise RunError(
+            f"{recording.file}: of a command file that was cut; `softmap record COMMANDS --recover {beside} --record "
+            f"{recording.file} --out RUN.npz` makes its run"
+        )
+    run, inside = with_seen(recording, [frame for _, frame in kept.taken], kept.camera, kept.vertices)
+    if len(inside) and not inside.any():
+        raise RunError(
+            f"{beside}: none of its {len(inside)} frames was seen while {recording.file.name} was driven; is it that "
+            "of another recording? Move it away, and the run is one of which nothing was seen"
+        )
+    return replace(run, robot=kept.robot), kept.lacks
+
+
+def with_seen(
+    recording: Recording, frames: Sequence[Frame], camera: HostClock, vertices: int | None
+) -> tuple[Run, NDArray[np.bool_]]:
+    """Return a recording as a run with these frames, and which of them (K,) lie within it.
+
+    Args:
+        camera: the clock of the frames. vertices: how many points a frame of the whole body has; any other number are
+            markers.
+
+    Raises:
+        RunError: as `Recording.run`, or frames of several numbers of points.
+    """
+    run = recording.run()
+    counts = sorted({len(frame.points) for frame in frames})
+    if len(counts) > 1:
+        raise RunError(
+            f"{recording.file}: frames of {counts} points; a camera's program sends one number of them throughout"
+        )
+    taken = camera.times(frames) - recording.begun
+    inside = (taken > run.t[0]) & (taken < run.t[-1])
+    if not inside.any():
+        return run, inside
+    points = np.array([frame.points for frame in frames], float)[inside]
+    whole = counts == [vertices]
+    return replace(
+        run,
+        t_seen=taken[inside],
+        vertices=points if whole else None,
+        markers=None if whole else points,
+        visible=np.isfinite(points).all(axis=2),
+    ), inside

@@ -1,0 +1,74 @@
+"""Hidden laws that are asked for by name and as strong as they are: a fault, and what the library has no effect for.
+
+As those of `robot/emulated/laws.py`, in another form than the effect library. Pinned by tests/test_own_effect_page.py
+and tests/test_truth.py.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import cycle
+from typing import Self
+
+import numpy as np
+
+from softmap_edge.robot.emulated.laws import Floats, Law, Numbers
+
+
+@dataclass(frozen=True)
+class OffCentreSpool(Law):
+    """A spool that turns off its middle: exact geometry of winding, which no effect of the library is.
+
+    The rim (radius R) turns about a point e off its middle c, e = |c|; the tendon leaves it along the tangent towards a
+    guide D away. With L the free length, β the angle of the tangent point about c and θ the servo's angle, the tendon
+    is shortened by L(θ) − L(0) + R (θ − β(θ) + β(0)); its slope is the moment arm of the free tendon about the axis. A
+    command is the rim's radius times the servo's angle, as if the spool turned about its middle.
+    """
+
+    NAME = "off_centre_spool"
+    radius_mm: float = 5.0
+    off_mm: Numbers = (0.9, 0.8)  # of each channel, again from the first where there are more
+    phase: Numbers = (0.6, -1.1)
+    guide_mm: float = 40.0
+
+    @classmethod
+    def draw(cls, rng: np.random.Generator, channels: int) -> Self:
+        return cls()
+
+    def scaled(self, s: float) -> Self:
+        return replace(self, off_mm=tuple(s * x for x in self.off_mm))
+
+    def command(self, t: Floats, u: Floats) -> Floats:
+        spools = zip(u.T, cycle(self.off_mm), cycle(self.phase))
+        return np.stack([self.wound(x / self.radius_mm, e, p) for x, e, p in spools], axis=1)
+
+    def wound(self, angle: Floats, off: float, phase: float) -> Floats:
+        """Return the shortening (T,) mm at servo angles (T,) rad."""
+
+        def free_and_tangent(turned: Floats) -> tuple[Floats, Floats]:
+            x, y = self.guide_mm - off * np.cos(turned + phase), -off * np.sin(turned + phase)
+            far = np.hypot(x, y)
+            return np.sqrt(far**2 - self.radius_mm**2), np.arctan2(y, x) + np.arccos(self.radius_mm / far)
+
+        (free, tangent), (free0, tangent0) = free_and_tangent(angle), free_and_tangent(np.zeros(1))
+        return np.asarray(free - free0 + self.radius_mm * (angle - tangent + tangent0))
+
+
+@dataclass(frozen=True)
+class SwappedServos(Law):
+    """The first two servos have each other's place; with a single one it turns the wrong way."""
+
+    NAME = "servo_swap"
+
+    @classmethod
+    def draw(cls, rng: np.random.Generator, channels: int) -> Self:
+        return cls()
+
+    def scaled(self, s: float) -> Self:
+        return self
+
+    def command(self, t: Floats, u: Floats) -> Floats:
+        return np.asarray(-u if u.shape[1] < 2 else u[:, [1, 0, *range(2, u.shape[1])]])
+
+
+NAMED: dict[str, type[Law]] = {law.NAME: law for law in (SwappedServos, OffCentreSpool)}

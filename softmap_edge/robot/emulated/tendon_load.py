@@ -1,0 +1,59 @@
+"""What its tendons ask of a servo: mA over ticks, from the tensions of a model.
+
+    τ_s = Σ_c (4096 / 2π) A_cs Σ_i S_ic T_i(u),    mA = τ / k
+
+T_i (N) are the tensions that a simulated bundle keeps, S_ic is +1 for the tendon that command c shortens and -1 for
+the one that it lengthens, A mm a tick, k the servo's torque a current, as its stall figures have it (without gear
+losses). The other commands stand at home. Bundles that know no tensions take a stated nominal stiffness. For emulated
+servos; a real ceiling is measured. Pinned by tests/test_emulated_finger.py.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softmap_edge.model.model import Model
+from softmap_edge.model.servo_calibration import TURN, Calibration, tendon_mm
+from softmap_edge.model.shapes import plain_table
+from softmap_edge.robot.servo.models import Entry
+from softmap_edge.run.rest_command import home_command
+
+Floats = NDArray[np.float64]
+Load = list[tuple[float, float]]
+
+TICKS_PER_RAD = TURN / (2.0 * np.pi)
+NOMINAL = 0.5  # N a mm of command, of a bundle without tensions: about the built-in finger's
+OWN = 0.6  # of the largest change of tension: a tendon that changes as much is the command's own
+POINTS = 41  # of a table
+
+
+def tendon_loads(model: Model, calibration: Calibration, window: tuple[float, float], servo: Entry) -> list[Load]:
+    """Return what each servo's tendons ask, (ticks, mA) ascending over `window` about home.
+
+    Args:
+        servo: what is known of its model (`servo_model`).
+    """
+    stall = servo["stall_torque_Nm"], servo["stall_current_mA"]
+    length = calibration.A * tendon_mm(model.command_unit)  # of tendon, a tick
+    away = np.linspace(*window, POINTS)
+    loads = []
+    for s, home in enumerate(calibration.home):
+        u = calibration.b + np.outer(away, calibration.A[:, s])  # (POINTS, C)
+        torque = _forces(model, u) @ length[:, s] * TICKS_PER_RAD * 1e-3  # N·m
+        loads.append([(float(home + a), float(t * stall[1] / stall[0])) for a, t in zip(away, torque)])
+    return loads
+
+
+def _forces(model: Model, u: Floats) -> Floats:
+    """Return with how many N each command (n, C) is pulled back, (n, C)."""
+    prior = model.arrays.get("prior", {})
+    if model.cables is None or "pull" not in prior:
+        return NOMINAL * tendon_mm(model.command_unit) * (u - home_command(model.command_range))
+    pull = plain_table(prior, "pull")
+    reach = 0.5 * np.diag(np.min(np.abs(np.asarray(model.command_range, float)), axis=1))  # (C, C)
+    change = np.asarray(pull.evaluate(reach)) - np.asarray(pull.evaluate(-reach))  # (C, tendons)
+    most = np.maximum(np.abs(change).max(axis=1, keepdims=True), 1e-12)
+    own = np.where(np.abs(change) > OWN * most, np.sign(change), 0.0)
+    inside = np.clip(u, *np.asarray(model.command_range, float).T)
+    return np.asarray(np.maximum(np.asarray(pull.evaluate(inside)), 0.0) @ own.T)

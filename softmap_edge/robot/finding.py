@@ -1,0 +1,37 @@
+"""One thing that the doctor looked at, as a line: its name, how it stands, what was found, what to do.
+
+Errors here say what was wrong and, behind "; ", what to do (`hints.parted`). Pinned by tests/test_doctor.py.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from softmap_edge.robot.remedies import parted
+
+OK, WARNING, FAULT = "ok", "warning", "fault"
+
+
+@dataclass(frozen=True)
+class Line:
+    """One thing that was looked at: its name, `ok`, `warning` or `fault`, what was found, and what to do (or empty)."""
+
+    name: str
+    state: str
+    found: str
+    do: str = ""
+
+    @property
+    def fine(self) -> bool:
+        """Whether it is in order."""
+        return self.state == OK
+
+    def __str__(self) -> str:
+        said = f"{self.state:<8} {self.name}: {self.found}"
+        return f"{said}\n{'':<9}→ {self.do}" if self.do else said
+
+
+def faulty(name: str, said: object, otherwise: str) -> Line:
+    """Return what an error or a complaint says as a line; `otherwise` is to be done where it names no remedy."""
+    found, do = parted(said)
+    return Line(name, FAULT, found or "no reason is given", do or otherwise)

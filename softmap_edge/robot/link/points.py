@@ -1,0 +1,193 @@
+"""Points that a camera program sees, sent to the robot's host over UDP (docs/camera.md).
+
+    with PointSender("192.168.1.20", 9870, read_key("camera.key")) as out:
+        out.send(points, stamp)          # (N, 3) mm in the base frame, NaN or `visible` for what is not seen; s
+
+A datagram, little-endian: mark `SMP1`, N (u16), 0 (u16), session (16 bytes), sequence number (u64), stamp (f64 s, the
+camera's clock), 3 N coordinates (f32 mm), and HMAC-SHA256 of all that where both sides have a key. It is sent and
+listened for in sessions (`signed_udp`), within which stamps rise. Pinned by tests/test_camera_points.py.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+import threading
+import time
+from collections import deque
+from dataclasses import dataclass
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from softmap_edge.errors import LinkError
+from softmap_edge.robot.link.frames import Frame
+from softmap_edge.robot.link.session import TAG, Listener, Sender, body_of, dropped_words, signed
+
+MARK, OFFER_MARK = b"SMP1", b"SMQ1"
+_HEAD = struct.Struct("<4sHH16sQd")
+MOST_POINTS = 5000  # what one datagram carries
+FARTHEST = 1e4  # mm
+JUMP = 2.0  # s by which a sender's clock may leave ours between two frames before it counts as a new clock
+LATEST = 1e10  # s: three hundred years; beyond, stamps of two frames are no two numbers any more
+KEPT = 9000  # frames: five minutes
+WAIT = 0.2  # s that the receiver waits at a time
+THIS_COMPUTER = ("127.0.0.1", "localhost", "::1")
+
+
+@dataclass(frozen=True, eq=False)
+class Message:
+    """What a datagram says: `points` (N, 3) mm, NaN where not seen, `stamp` s, and its place in a session."""
+
+    points: NDArray[np.float32]
+    stamp: float
+    session: bytes
+    sequence: int
+
+
+def packed(message: Message, key: bytes | None = None) -> bytes:
+    """Return a message as a datagram, signed where there is a key."""
+    points = np.ascontiguousarray(message.points, "<f4")
+    head = _HEAD.pack(MARK, len(points), 0, message.session, message.sequence, message.stamp)
+    return signed(key, head + points.tobytes())
+
+
+def unpacked(datagram: bytes, key: bytes | None = None) -> Message | str:
+    """Return what a datagram says, or in a word why it counts nothing: length, signature, content."""
+    if len(datagram) < _HEAD.size:
+        return "length"
+    mark, count, zero, session, sequence, stamp = _HEAD.unpack_from(datagram)
+    body = body_of(key, datagram, _HEAD.size + 12 * count)
+    if isinstance(body, str):
+        return body
+    points = np.frombuffer(body, "<f4", offset=_HEAD.size).reshape(count, 3).astype(np.float32)
+    unseen = np.isnan(points).any(axis=1)
+    fits = mark == MARK and zero == 0 and 1 <= count <= MOST_POINTS and abs(stamp) <= LATEST
+    if not fits or np.any(np.abs(points[~unseen]) > FARTHEST):
+        return "content"
+    points[unseen] = np.nan
+    return Message(points, stamp, session, sequence)
+
+
+class PointSender(Sender):
+    """Sends frames to `host`:`port`; a context manager, to be closed. The first only asks the receiver to listen.
+
+    Raises:
+        LinkError: no such host or port, or the key is too short.
+    """
+
+    def __init__(self, host: str, port: int, key: bytes | None = None) -> None:
+        super().__init__(host, port, key, OFFER_MARK)
+
+    def send(self, points: ArrayLike, stamp: float | None = None, visible: ArrayLike | None = None) -> bool:
+        """Send a frame; False where it could not be sent just now (no network, or nobody listens).
+
+        Args:
+            points: (N, 3) mm, NaN where not seen. stamp: s by the camera's clock; this moment without it.
+            visible: (N,) bool.
+
+        Raises:
+            LinkError: points that are none, or too many of them.
+        """
+        now = np.array(points, np.float32)
+        if now.ndim != 2 or now.shape[1:] != (3,) or not 1 <= len(now) <= MOST_POINTS:
+            raise LinkError(f"points of shape {now.shape}; expected (N, 3) with 1 to {MOST_POINTS} points")
+        if visible is not None:
+            shown = np.asarray(visible, bool)
+            if shown.shape != now.shape[:1]:
+                raise LinkError(f"visible of shape {shown.shape}, expected ({len(now)},) for {len(now)} points")
+            now[~shown] = np.nan
+        stamp = time.monotonic() if stamp is None else float(stamp)
+        return self._put(packed(Message(now, stamp, *self._next()), self._key))
+
+
+class PointReceiver(Listener):
+    """Takes frames at `host`:`port` (0: any free one, see `.port`) from entering to leaving.
+
+    `.refused` counts what was not taken, by why: length, signature, content, points (another number of them), replay
+    also of a stamp that did not rise, and the others of a `Listener`. `.taken` counts the frames.
+
+    Args:
+        key: shared with the sender; without it only this computer may send. count: how many points a frame has; any
+            number without it. frame: (3, 4) [R | mm] from the camera to the base, as in a run of `softmap align`.
+
+    Raises:
+        LinkError: the address is not ours or in use, the key is too short, or it is needed.
+    """
+
+    def __init__(
+        self, host: str, port: int, key: bytes | None = None, *, count: int | None = None, frame: Any = None
+    ) -> None:
+        if key is None and host not in ("", *THIS_COMPUTER):
+            raise LinkError(
+                f"udp://{host}:{port}: points of other computers need a shared key; without one give "
+                "udp://127.0.0.1:PORT"
+            )
+        super().__init__("127.0.0.1" if key is None and not host else host, port, key, OFFER_MARK)
+        self._socket.settimeout(WAIT)
+        self._count, self._frame = count, None if frame is None else np.asarray(frame, float)
+        self.taken = 0
+        self._frames: deque[Frame] = deque(maxlen=KEPT)
+        self._last: tuple[Message, float] | None = None
+        self._shift, self._quickest = 0.0, math.inf  # of stamps: one clock through all sessions
+        self._done = threading.Event()
+        self._thread = threading.Thread(target=self._listen, daemon=True)
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def close(self) -> None:
+        """Listen no more, and free the port; may be called again."""
+        self._done.set()
+        if self._thread.is_alive():
+            self._thread.join(10 * WAIT)
+        super().close()
+
+    def seen(self) -> list[Frame]:
+        """Return the frames that have arrived, oldest first, at most the last `KEPT`."""
+        return list(self._frames)
+
+    def said(self) -> str:
+        """Return what came, in a line."""
+        lost = f", {self.lost} lost on the way" if self.lost else ""
+        dropped = dropped_words(self.refused)
+        return f"{self.taken} frames came{lost}" + (f"; {dropped}" if dropped else "")
+
+    def _listen(self) -> None:
+        while not self._done.is_set():
+            try:
+                datagram, address = self._socket.recvfrom(_HEAD.size + 12 * MOST_POINTS + TAG + 1)
+            except OSError:  # nothing came, or what came back of another's datagram
+                continue
+            self._take(datagram, address, time.monotonic())
+
+    def _take(self, datagram: bytes, address: object, now: float) -> None:
+        got = unpacked(datagram, self._key)
+        if isinstance(got, str):
+            self.refused[got] += 1
+            return
+        if self._count is not None and len(got.points) != self._count:
+            self.refused["points"] += 1
+            return
+        if not self._counts(got.session, got.sequence, address, now):
+            return
+        last = self._last
+        if last is not None:
+            new = got.session != last[0].session
+            if not new and got.stamp <= last[0].stamp:
+                self.refused["replay"] += 1
+                return
+            if new or abs((now - last[1]) - (got.stamp - last[0].stamp)) > JUMP:
+                # Another clock: its first frame is taken to have come as quickly as the quickest did.
+                self._shift, old = now - got.stamp - self._quickest, self._shift
+                self._shift = max(self._shift, last[0].stamp + old - got.stamp + 1e-6)
+        stamp = got.stamp + self._shift
+        self._quickest = min(self._quickest, now - stamp)
+        self._last = (got, now)
+        points: NDArray[Any] = got.points
+        if self._frame is not None:
+            points = (points @ self._frame[:, :3].T + self._frame[:, 3]).astype(np.float32)
+        self.taken += 1
+        self._frames.append(Frame(stamp, now, points))

@@ -1,0 +1,1 @@
+"""Kinematics of a model: inverse kinematics, figures, timing."""

@@ -1,0 +1,65 @@
+"""A bench with the finger on it, and its robot for a program of a user's own: what docs/own_program.md shows.
+
+Pinned by tests/test_own_program.py, and by the tests of the verbs that drive.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from softmap_edge.model.bundle import load_bundle
+from softmap_edge.model.model import Model
+from softmap_edge.model.servo_calibration import Calibration
+from softmap_edge.robot.control.controller import Controller
+from softmap_edge.robot.motion.kinematics import Kinematics
+from softmap_edge.robot.servo.limits import calibration_of, combined
+from softmap_edge.robot.servo.loop_limits import RATE
+from softmap_edge.robot.servo.rig import Rig, read_rig
+
+if TYPE_CHECKING:
+    from softmap_edge.robot.emulated.finger import EmulatedFinger
+
+
+@dataclass(frozen=True)
+class Bench:
+    """A robot that can be driven: its `rig`, the `limits` of its loop, its `calibration`, and the `model`, which on a
+    real bench has that calibration as its own; of an emulated one the `finger`."""
+
+    rig: Rig
+    limits: dict[str, Any]
+    calibration: Calibration
+    model: Model
+    finger: EmulatedFinger | None = None
+
+
+def read_bench(path: str | Path, model: Model) -> Bench:
+    """Return the bench of a rig file, ready to be driven with the finger of `model`.
+
+    Raises:
+        ServoError: something is not known that driving needs; the line says what.
+    """
+    known = calibration_of(model)  # asked first: the bundle is what a user mends first
+    rig = read_rig(path)
+    found = combined(rig, model, known, RATE)
+    return Bench(rig, found.table(), found.calibration, replace(model, calibration=found.calibration))
+
+
+def open_robot(
+    rig: str | Path, model: Model | str | Path, *, axes: str = "xyz", record: str | Path | None = None
+) -> Controller:
+    """Return the robot of a bench, which is driven from entering to leaving it (`with`).
+
+    Args:
+        rig: the file of the bench, as `softmap servo setup` writes it. model: of its finger, or the folder of a bundle;
+            it must be calibrated, and its effects are undone. axes: that count for `robot.kinematics`. record: a file
+            for all that the loop hears, decides and sends.
+
+    Raises:
+        BundleError: no such bundle, or a damaged one.
+        ServoError: something is not known that driving needs; the line says what. On entering: as `Controller`.
+    """
+    bench = read_bench(rig, model if isinstance(model, Model) else load_bundle(model))
+    kinematics = Kinematics(bench.model, axes=axes)
+    return Controller(bench.rig, bench.calibration, bench.limits, kinematics=kinematics, record=record)

@@ -1,0 +1,111 @@
+"""What a servo senses that keeps the guard from starting: temperature, supply voltage, a place outside its window.
+
+The doctor, `softmap servo read` and a request that the guard denies word it here, so that they agree: the value, the
+limit, the remedy. Limits are those of the guard (`rust/servo/guard/servo.rs`). Pinned by tests/test_conditions.py.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+from softmap_edge.robot.servo.known_state import Asked, Found, Values, usual
+
+JOG_TRAVEL = 300.0  # ticks that one jog may turn
+PER_VOLT = 10  # register units of the supply voltage
+COOL_DOWN = "let it cool with torque off, and find why it got warm: a load, little air, a high current cap"
+POWER = "check the power supply and its cable"
+
+
+def unfit(found: Found, values: Values, asked: Asked | None, proved: bool) -> list[str]:
+    """Return a sentence for each reading for which the guard refuses to start: the finding and, after "; ", the remedy.
+
+    Args:
+        found: the servo.
+        values: its registers.
+        asked: the requirements of the rig; None for the usual ones.
+        proved: whether its home is proved; without it a position is compared with no window.
+    """
+    if found.model is None:
+        return []
+    asked = usual(found.model) if asked is None else asked
+    lines = [
+        too_hot(values["present_temperature"], asked.hot),
+        undersupplied(values["present_input_voltage"] / PER_VOLT, asked.voltage),
+    ]
+    if proved and asked.window is not None:
+        lines.append(outside(found.id, values["present_position"], asked.window))
+    return [f"it {line}" for line in lines if line]
+
+
+def too_hot(temperature: float, hot: float | None) -> str:
+    """Return what is wrong with a temperature (°C), "" if nothing is."""
+    if hot is None or temperature < hot:
+        return ""
+    return f"is too hot: {temperature:.0f} °C, allowed is below {hot:g} °C; {COOL_DOWN}"
+
+
+def undersupplied(voltage: float, allowed: tuple[float, float] | None) -> str:
+    """Return what is wrong with a supply voltage (V), "" if nothing is."""
+    if allowed is None or allowed[0] - 1e-9 <= voltage <= allowed[1] + 1e-9:
+        return ""
+    return f"has a supply voltage of {voltage:.1f} V, allowed are {allowed[0]:g} to {allowed[1]:g} V; {POWER}"
+
+
+def outside(id: int, position: float, window: tuple[float, float]) -> str:
+    """Return what is wrong with the position (ticks) of servo `id`, "" if it is inside its window."""
+    low, high = window
+    if low <= position <= high:
+        return ""
+    inside = min(max(position, low + JOG_TRAVEL / 10), high - JOG_TRAVEL / 10)  # a jog may end some ticks short
+    return (
+        f"stands at {position:.0f} ticks, outside its window of {low:.0f} to {high:.0f}; turn it back by "
+        f"{jogs(id, (inside if low < inside < high else (low + high) / 2) - position)}"
+    )
+
+
+def jogs(id: int, ticks: float, most: float = JOG_TRAVEL) -> str:
+    """Return the command that turns a servo, and how often to run it.
+
+    Args:
+        id: of the servo.
+        ticks: how far, signed.
+        most: ticks that one jog may turn.
+    """
+    times = max(1, math.ceil(abs(ticks) / min(most, JOG_TRAVEL)))
+    step = round(ticks / times)
+    often = "" if times == 1 else f", {times} times"
+    return f"`softmap move --servo {id} --by {step or 1:+d} --rig FILE`{often}"
+
+
+def denied_for(cause: str, report: Mapping[str, Any], limits: Mapping[str, Any] | None) -> str:
+    """Return servo, value, limit and remedy of each servo whose reading is the `cause`; "" if none is known.
+
+    Args:
+        cause: `hot`, `voltage` or `outside`.
+        report: the newest of the loop.
+        limits: the table that the guard keeps.
+    """
+    servos = [] if limits is None else limits["servos"]
+    ids = report.get("ids") or list(range(1, len(servos) + 1))
+    lines = [
+        f"servo {id} {line}"
+        for k, (id, allowed) in enumerate(zip(ids, servos))
+        if (line := _reading(cause, report, k, id, allowed))
+    ]
+    return "; ".join(lines)
+
+
+def _reading(cause: str, report: Mapping[str, Any], k: int, id: int, allowed: Mapping[str, Any]) -> str:
+    def sensed(name: str) -> float | None:
+        values = report.get(name) or []
+        return values[k] if k < len(values) else None
+
+    if cause == "hot" and (warmth := sensed("temperature_C")) is not None:
+        return too_hot(warmth, allowed["hot"])
+    if cause == "voltage" and (volts := sensed("voltage_V")) is not None:
+        return undersupplied(volts, allowed["voltage"])
+    if cause == "outside" and (at := sensed("position")) is not None:
+        return outside(id, at, (allowed["low"], allowed["high"]))
+    return ""

@@ -1,0 +1,88 @@
+"""A mark in each servo that says: home was proved since power came on, and it is this tick.
+
+In modes 4 and 5 a servo counts turns and loses them without power; nothing that it tells of itself says so. So homing
+leaves a mark in memory that power-up and reboot clear and that nothing here uses otherwise: the first eight indirect
+addresses (registers 168 to 183, RAM on every X-series servo; while indirect data are not read they do nothing). It is
+made of id and home, so that the mark of another servo or of another home counts for nothing. Its values are addresses
+that may be mapped on every model (120 to 135, four bits each). A servo that restores its RAM at power-up (startup
+configuration, register 60) is refused: its mark would prove nothing. Pinned by tests/test_home.py.
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Iterable, Sequence
+from contextlib import suppress
+
+from softmap_edge import _core
+from softmap_edge.errors import ServoError
+from softmap_edge.robot.servo.bus import heard, opened, patiently
+from softmap_edge.robot.servo.known_state import setup_command
+
+MARK, MAPPABLE, DIGITS = 168, 120, 8  # first register; lowest address that it may hold; registers of four bits
+SIZE = 2 * DIGITS  # bytes
+AGAIN = "prove it with `softmap servo home --rig FILE`"
+
+
+def mark(id: int, home: int) -> bytes:
+    """Return the mark of servo `id` whose home was proved to be `home`."""
+    number = zlib.crc32(f"softmap home {id} {home}".encode())
+    return b"".join((MAPPABLE + (number >> 4 * k & 15)).to_bytes(2, "little") for k in range(DIGITS))
+
+
+def set_mark(bus: _core.ServoBus, id: int, home: int | None) -> None:
+    """Leave the mark of `home` in a servo and read it back; None takes away what is there.
+
+    Raises:
+        ServoError: the servo does not answer or does not keep it.
+    """
+    wanted = MAPPABLE.to_bytes(2, "little") * DIGITS if home is None else mark(id, home)
+    patiently(bus.write, id, MARK, wanted)
+    if heard(bus, id, MARK, SIZE) != wanted:
+        raise ServoError(f"servo {id} does not keep the mark of its home (registers {MARK} on); nothing can prove it")
+
+
+def forget(port: str, baud: int, ids: Iterable[int]) -> None:
+    """Take the marks of servos away, so that their home has to be proved again; one that does not answer is left."""
+    with suppress(ServoError), opened(port, baud, shared=True) as bus:  # a port that is gone
+        for id in ids:
+            with suppress(ServoError):
+                set_mark(bus, id, None)
+
+
+def marked(bus: _core.ServoBus, id: int, home: int | None) -> bool:
+    """Return whether `home` of servo `id` has been proved since it got power."""
+    return home is not None and heard(bus, id, MARK, SIZE) == mark(id, home)
+
+
+def no_home(ids: Sequence[int]) -> str:
+    """Return what is to be said of servos without a home."""
+    which = f"servo {ids[0]} has" if len(ids) == 1 else f"servos {', '.join(map(str, ids))} have"
+    return f"{which} no home; {AGAIN}"
+
+
+def check_proved(bus: _core.ServoBus, servos: Sequence[tuple[int, int | None]]) -> None:
+    """Refuse servos (id, home) whose home is not known, or has not been proved since they got power.
+
+    Raises:
+        ServoError: so, or one does not answer.
+    """
+    for id, home in servos:
+        if home is None:
+            raise ServoError(no_home([id]))
+        if restores(bus, id):
+            raise ServoError(
+                f"servo {id} restores its memory at power-up (startup configuration), so that no proof of its home can "
+                f"be believed; run {setup_command(bus.port, bus.baud, id)}, then {AGAIN}"
+            )
+        if not marked(bus, id, home):
+            raise ServoError(
+                f"servo {id}: home is not proved since power-up (turns are lost without power; a fault, setting up and "
+                f"another home in the rig need a new proof too); let the finger hang straight and {AGAIN}"
+            )
+
+
+def restores(bus: _core.ServoBus, id: int) -> bool:
+    """Return whether a servo brings its memory back at power-up."""
+    address, size, _ = _core.servo_registers()["startup_configuration"]
+    return any(heard(bus, id, address, size))

@@ -1,0 +1,224 @@
+"""The register values that a servo needs to be driven, their differences and remedies: one list for every check.
+
+`softmap servo setup` writes them. `servo read`, the doctor, homing and each start check them again, since another
+program may have changed them. A start rewrites volatile registers (profile, gains).
+Sources: the X-series control tables and their known traps. Turns are counted in modes 4 and 5 only. On old firmware a
+homing offset makes a watchdog dangerous in these modes. A return delay costs bus time. A reversed drive mode inverts
+goal and position alike, so that no other check detects it. The default gains of a mode depend on the firmware: set-up
+lets the servo choose them again, and the rig keeps them (`[made.set_up]`). Pinned by tests/test_known_state.py.
+"""
+
+from __future__ import annotations
+
+import math
+import shlex
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from softmap_edge import _core
+from softmap_edge.robot.servo.models import Entry, numbered
+
+CLEAR = 42  # firmware below which a tripped watchdog lets the motor run on, in mode 4 with a homing offset
+OLD = 38  # firmware below which there is no bus watchdog
+NO_SHADOW, HIGHEST_ID = 255, 252
+ALWAYS = 2  # status return level: every request is answered
+MODES = {
+    0: "current", 1: "velocity", 3: "position", 4: "extended position", 5: "current-based position", 16: "PWM",
+}  # fmt: skip
+SIGNED = ("homing_offset", "goal_position", "present_position", "present_current", "present_velocity", "present_pwm",
+          "goal_current", "goal_pwm")  # fmt: skip
+GAINS = ("position_p_gain", "position_i_gain", "position_d_gain", "feedforward_1st_gain", "feedforward_2nd_gain")
+MOST_GAIN = 16_383
+SET_UP = "set_up"  # in [made] of a rig: the gains of each servo, in the order of GAINS
+Values = dict[str, int]
+
+
+@dataclass(frozen=True)
+class Found:
+    """A servo that answered: its port, baud rate, id and model."""
+
+    port: str
+    baud: int
+    id: int
+    number: int
+    firmware: int
+
+    @property
+    def model(self) -> Entry | None:
+        """The entry of its model, if the model is known."""
+        return numbered(self.number)
+
+    def __str__(self) -> str:
+        name = self.model["name"] if self.model else f"unknown model {self.number}"
+        return f"{self.port} at {self.baud} baud: id {self.id}, {name}, firmware {self.firmware}"
+
+
+@dataclass(frozen=True)
+class Asked:
+    """The requirements of a rig for a servo: the largest current of its cap (mA), its fastest turn (ticks/s), and its
+    gains at set-up (in the order of GAINS; empty if the rig does not hold them).
+
+    `hot` (°C), `voltage` (V) and `window` (ticks) bound what it senses when a start may be allowed; None if they are
+    not known. `home` (ticks) is that of the window."""
+
+    current_mA: float
+    slew: float
+    gains: tuple[int, ...] = ()
+    hot: float | None = None
+    voltage: tuple[float, float] | None = None
+    window: tuple[float, float] | None = None
+    home: int | None = None
+
+
+@dataclass(frozen=True)
+class Need:
+    """A required register value: `value`, or at least `least`. A start writes `passing` registers by itself."""
+
+    register: str
+    value: int
+    least: int | None = None
+    passing: bool = False
+
+    def met(self, value: int) -> bool:
+        """Return whether `value` meets the requirement."""
+        return value == self.value if self.least is None else value >= self.least
+
+
+def usual(model: Entry) -> Asked:
+    """Return the requirements for a servo without a rig."""
+    from softmap_edge.robot.servo.loop_limits import (  # the loop starts without numpy
+        COOL,
+        CURRENT,
+        SLEW,
+        slowed,
+        strongest,
+    )
+
+    most = CURRENT * strongest(model)
+    hot = float(model["temperature_limit_C"] - COOL[1])
+    return Asked(most, min(SLEW, slowed(model, most)), hot=hot, voltage=tuple(model["voltage_V"]))
+
+
+def most(model: Entry) -> Asked:
+    """Return the highest requirements that a servo can meet: its factory limits."""
+    from softmap_edge.robot.servo.loop_limits import strongest
+
+    return Asked(strongest(model), float(model["fastest_ticks_per_s"]))
+
+
+def needs(model: Entry, asked: Asked | None = None) -> list[Need]:
+    """Return the required register values of a servo, in the order in which they are written.
+
+    Args:
+        model: the entry of its model. asked: the requirements of the rig; None for the usual ones.
+    """
+    asked = usual(model) if asked is None else asked
+    found = [
+        Need("operating_mode", model["operating_mode"]),
+        Need("homing_offset", 0),
+        Need("return_delay_time", 0),
+        Need("drive_mode", 0),
+        Need("secondary_id", NO_SHADOW, HIGHEST_ID + 1),
+        Need("status_return_level", ALWAYS),
+        Need("startup_configuration", 0),
+        Need("pwm_limit", model["pwm_limit"]),
+        Need("velocity_limit", model["velocity_limit"], _steps(model, asked.slew)),
+        Need("profile_velocity", 0, passing=True),
+        Need("profile_acceleration", 0, passing=True),
+    ]
+    if (unit := model["current_unit_mA"]) is not None:
+        least = min(math.floor(asked.current_mA / unit), model["current_limit"])
+        found.append(Need("current_limit", model["current_limit"], least))
+        found.append(Need("goal_pwm", model["pwm_limit"], passing=True))
+    return found + [Need(name, gain, passing=True) for name, gain in zip(GAINS, asked.gains)]
+
+
+def differing(model: Entry, values: Values, asked: Asked | None = None) -> list[Need]:
+    """Return the needs that the registers `values` of a servo do not meet."""
+    return [need for need in needs(model, asked) if not need.met(values[need.register])]
+
+
+def complaints(found: Found, values: Values, asked: Asked | None = None) -> list[str]:
+    """Return a sentence for each fault that blocks a start: the finding and, after "; ", the remedy."""
+    model = found.model
+    if model is None:
+        known = ", ".join(one["name"] for one in _core.servo_models())
+        return [f"model {found.number} is not known; known are {known}"]
+    remedy = f"run {setup_command(found.port, found.baud, found.id)}"
+    lines = [
+        f"{differs(found, need, values[need.register], asked)}; {remedy}"
+        for need in differing(model, values, asked)
+        if not need.passing
+    ]
+    if values["hardware_error_status"]:
+        lines.append(f"it reports {hardware(values['hardware_error_status'])}; {restart(found)}")
+    if values["torque_enable"]:
+        lines.append("its torque is on: another program drives it, or one died; `softmap servo off` releases it")
+    if found.firmware < OLD:
+        lines.append(too_old(found))
+    return lines
+
+
+def passing(found: Found, values: Values, asked: Asked | None = None) -> list[Need]:
+    """Return the needs that are not met and that a start writes by itself."""
+    model = found.model
+    return [] if model is None else [need for need in differing(model, values, asked) if need.passing]
+
+
+def differs(found: Found, need: Need, value: int, asked: Asked | None = None) -> str:
+    """Return the actual and the required value of a register as text: `drive mode is 9, needed is 0`."""
+    model = found.model
+    if need.register == "current_limit" and model is not None:
+        cap = (usual(model) if asked is None else asked).current_mA
+        unit = model["current_unit_mA"]
+        return f"its current limit ({value * unit:.0f} mA) is below the cap ({cap:.0f} mA)"
+    least = "" if need.least is None or need.register == "secondary_id" else "at least "
+    return f"{holds(found, need.register, value)}, needed is {least}{need.value if not least else need.least}"
+
+
+def holds(found: Found, register: str, value: int) -> str:
+    """Return the value of a register as text, with the danger if there is one."""
+    note = f" ({MODES.get(value, 'unknown')})" if register == "operating_mode" else ""
+    if register == "homing_offset" and found.firmware < CLEAR:
+        note = f" (with one, firmware {found.firmware} lets the motor run on when its watchdog trips in mode 4)"
+    return f"{register.replace('_', ' ')} is {value}{note}"
+
+
+def too_old(found: Found) -> str:
+    """Return the message on firmware without a watchdog."""
+    update = f"update it to {_core.FAST_FIRMWARE} with Dynamixel Wizard"
+    return f"its firmware {found.firmware} has no bus watchdog; {update}"
+
+
+def hardware(bits: int) -> str:
+    """Return the hardware errors of register 70 as text."""
+    known = [text for bit, text in _core.HARDWARE_ERRORS if bits & bit]
+    left = bits & ~sum(bit for bit, _ in _core.HARDWARE_ERRORS)
+    return ", ".join([*known, *([f"error {left:#04x}"] if left else [])])
+
+
+def restart(found: Found) -> str:
+    """Return the remedy for a hardware error."""
+    return (
+        f"find the cause, then run `softmap servo reboot --port {shlex.quote(found.port)} --baud {found.baud} "
+        f"--id {found.id}` (or switch its supply off and on)"
+    )
+
+
+def setup_command(port: str, baud: int, id: int, more: str = "") -> str:
+    """Return the command that sets one servo up."""
+    return f"`softmap servo setup --port {shlex.quote(port)} --baud {baud} --id {id}{more}`"
+
+
+def _steps(model: Entry, slew: float) -> int:
+    """Return the velocity limit that lets a servo turn at `slew` ticks/s, at most the one as delivered."""
+    share = min(1.0, slew / float(model["fastest_ticks_per_s"]))
+    return math.ceil(share * int(model["velocity_limit"]) - 1e-9)
+
+
+def gains_of(rig_made: Mapping[str, Mapping[str, Any]], id: int) -> tuple[int, ...]:
+    """Return the gains of a servo at set-up, from `[made]` of its rig; empty if they are not known."""
+    kept = rig_made.get(SET_UP, {}).get(f"servo_{id}", [])
+    whole = isinstance(kept, list) and len(kept) == len(GAINS)
+    return tuple(kept) if whole and all(type(one) is int and 0 <= one <= MOST_GAIN for one in kept) else ()

@@ -1,0 +1,111 @@
+"""What the servos of a robot are allowed: one table, in ticks and seconds, that the compiled guard checks and keeps to.
+
+docs/safety.md says what each limit does. Ticks are absolute; the window lies about `home`. Pinned by
+tests/test_controller.py and, for what the guard makes of it, by the tests of rust/servo/guard.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from softmap_edge import _core
+from softmap_edge.errors import ServoError
+from softmap_edge.model.safety import BURST, HOLD, JUMP, RAMP, SLACKEN, STALE, TURNS_A_SECOND
+from softmap_edge.robot.servo.conditions import JOG_TRAVEL
+from softmap_edge.robot.servo.models import Entry, servo_model
+
+Table = dict[str, Any]
+
+RATE = 100.0  # periods a second: what one adapter at 1 Mbaud carries with room to spare
+SLEW = 2000.0  # ticks/s; 7 mm of tendon a second on a spool of 2.2 mm
+ACCELERATION = 20_000.0  # ticks/s²
+BEHIND = 1.5 * 0.24  # s by which a servo may be late: half as much again as the trunk's were (its recording)
+NEAR = 400.0  # ticks that it may be behind in any case, however slow
+CURRENT = 0.35  # of a servo's own limit
+FASTER = 1.5  # than a servo's own fastest turn is no position to believe
+BAND = 0.02  # mm that a goal comes back before its servo turns
+JOG_SLEW, JOG_CURRENT = 200.0, 150.0  # ticks/s, mA: what a jog may do
+COOL = (15.0, 5.0)  # °C below its own limit at which a servo's current is cut back, and at which it slackens
+
+
+def servo_limits(model: str, home: int, window: tuple[float, float]) -> Table:
+    """Return the limits of one servo by its model's data.
+
+    Args:
+        model: its name, as `servo_model` knows it. home: ticks. window: ticks about home, LOW < 0 < HIGH.
+
+    Raises:
+        ServoError: no such model.
+    """
+    entry = servo_model(model)
+    most = strongest(entry)
+    return {
+        "home": home,
+        "low": home + round(window[0]),
+        "high": home + round(window[1]),
+        "slew": min(SLEW, slowed(entry, CURRENT * most)),
+        "acceleration": ACCELERATION,
+        "current": CURRENT * most,
+        "fastest": FASTER * entry["fastest_ticks_per_s"],
+        "following": following(SLEW),
+        "warm": entry["temperature_limit_C"] - COOL[0],
+        "hot": entry["temperature_limit_C"] - COOL[1],
+        "voltage": tuple(entry["voltage_V"]),
+    }
+
+
+def strongest(entry: Entry) -> float:
+    """Return the current (mA) at which a servo gives the most that it may: its limit, or its stall if it has none."""
+    return float(entry["current_limit_mA"] or entry["stall_current_mA"])
+
+
+def slowed(entry: Entry, current: float) -> float:
+    """Return the fastest turn, ticks/s, of a servo under a cap of `current` mA: less PWM is less speed too."""
+    real = float(entry["fastest_ticks_per_s"])
+    return real if entry["current_limit_mA"] is not None else real * min(1.0, current / entry["stall_current_mA"])
+
+
+def following(slew: float) -> float:
+    """Return how far (ticks) a servo may be behind a goal that moves with up to `slew` (ticks/s).
+
+    Real servos are behind by their delay at each speed: a limit below that drops the torque of a healthy finger, and
+    its home must be proved anew. What is really blocked pulls for some tenths of a second more, within its current cap.
+    """
+    return min(max(NEAR, BEHIND * slew), float(_core.limit_ranges()["following"][1]))
+
+
+def loop_limits(servos: Sequence[Table], rate: float = RATE, **changes: Any) -> Table:
+    """Return the limits of a robot of `servos` (`servo_limits`) whose loop runs at `rate` (1/s), checked.
+
+    Raises:
+        ServoError: a limit is out of range, or `changes` names none.
+    """
+    if not 10.0 <= rate <= 2000.0:
+        raise ServoError(f"a rate of {rate:g} a second; allowed is 10 to 2000")
+    period = 1.0 / rate
+    window = max(float(one["high"] - one["low"]) for one in servos) if servos else 1.0
+    table: Table = {
+        "servos": [dict(one) for one in servos],
+        "period": period,
+        "stale": max(STALE, 3 * period),
+        "hold": HOLD,
+        "slacken": SLACKEN,
+        "late": max(0.05, 4 * period),
+        "silent": max(0.25, 6 * period),
+        "grace": 0.5,
+        "ramp": RAMP,
+        "jump": (JUMP * window, window),
+        "jog_travel": JOG_TRAVEL,
+        "jog_slew": JOG_SLEW,
+        "jog_current": JOG_CURRENT,
+        "band": BAND,
+        "turns": TURNS_A_SECOND,
+        "burst": BURST,
+    }
+    unknown = [name for name in changes if name not in table]
+    if unknown:
+        raise ServoError(f"no limit '{unknown[0]}'; there are {', '.join(table)}")
+    table |= changes
+    _core.check_limits(table)
+    return table

@@ -1,0 +1,185 @@
+"""One bench: where its servos are and where home is, kept on the machine that drives them (`rig.toml`).
+
+A bundle is somebody else's file; what belongs to a bench never travels with it. Pinned by tests/test_rig_file.py.
+"""
+
+from __future__ import annotations
+
+import shlex
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from softmap_edge import _core
+from softmap_edge.errors import ServoError, SoftmapError
+from softmap_edge.files.atomic import MOST_TEXT, write_whole
+from softmap_edge.files.toml import TomlTable, quoted, written
+from softmap_edge.robot.servo.clock import REAL_TIME, Clock
+from softmap_edge.robot.servo.emergency import Emergency, read_emergency
+from softmap_edge.robot.servo.models import servo_model
+from softmap_edge.robot.servo.rig_ceiling import RANGES, Ceiling, read_ceiling
+from softmap_edge.robot.servo.rig_edit import noted
+
+SCHEMA = "softmap.rig/1"
+MOST_SERVOS = int(_core.limit_ranges()["servos"][1])
+FARTHEST = int(_core.limit_ranges()["home"][1])  # ticks: 256 turns
+KEPT = ("home", "current_mA", "low", "high", "slew", "acceleration")  # of a servo, where it is known
+
+
+@dataclass(frozen=True)
+class RigServo:
+    """A servo: its id on the bus, its model's name, and the tick at which the finger is straight (None: never proved).
+
+    Its ceiling, None where none was found: mA at the stroke, ticks about home, ticks/s, ticks/s².
+    """
+
+    id: int
+    model: str
+    home: int | None = None
+    current_mA: float | None = None
+    low: int | None = None
+    high: int | None = None
+    slew: float | None = None
+    acceleration: float | None = None
+
+
+@dataclass(frozen=True)
+class Rig:
+    """A port, its baud rate, and the servos in the order of the commands; `ceiling` is what all of them are allowed at
+    most, `emergency` the stops that the loop asks, `made` says how each thing was found. `time` is that of the servos,
+    `file` the one that it was read from; no file holds them.
+
+    Raises:
+        ServoError: two servos of one id, an unknown model, none or too many servos.
+    """
+
+    port: str
+    baud: int
+    servos: tuple[RigServo, ...]
+    ceiling: Ceiling = Ceiling()
+    emergency: Emergency = Emergency()
+    made: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    time: Clock = field(default=REAL_TIME, compare=False, repr=False)
+    file: str | None = field(default=None, compare=False, repr=False)
+
+    def __post_init__(self) -> None:
+        ids = [servo.id for servo in self.servos]
+        if not 1 <= len(ids) <= MOST_SERVOS:
+            raise ServoError(f"the rig has {len(ids)} servos; allowed are 1 to {MOST_SERVOS}")
+        for servo in self.servos:
+            try:
+                known = servo_model(servo.model)
+            except ServoError as fault:
+                raise ServoError(f"servo {servo.id}: {fault}") from None
+            if ids.count(servo.id) > 1 or not 0 <= servo.id <= 252:
+                raise ServoError(f"servo id {servo.id} stands twice or beyond 252; give each servo one of its own")
+            if self.baud not in known["baud_rates"]:
+                raise ServoError(f"servo {servo.id}, a {servo.model}, has no rate of {self.baud} baud")
+            if not (servo.low is None or servo.low < 0) or not (servo.high is None or servo.high > 0):
+                raise ServoError(f"servo {servo.id}: low {servo.low}, high {servo.high}; expected low < 0 < high")
+
+    @property
+    def numbers(self) -> list[tuple[int, int]]:
+        """Id and model number of each servo."""
+        return [(servo.id, servo_model(servo.model)["number"]) for servo in self.servos]
+
+    def to_toml(self) -> str:
+        """Return the text of `rig.toml`."""
+        lines = [f'schema = "{SCHEMA}"', f"port = {quoted(self.port)}", f"baud = {self.baud}"]
+        lines += [*self.ceiling.to_toml(), *self.emergency.to_toml()]
+        for servo in self.servos:
+            lines += ["", "[[servo]]", f"id = {servo.id}", f'model = "{servo.model}"']
+            lines += [f"{key} = {value}" for key in KEPT if (value := getattr(servo, key)) is not None]
+        for name, found in self.made.items():
+            lines += [
+                "",
+                f"[made.{quoted(name)}]",
+                *(f"{quoted(key)} = {written(said)}" for key, said in found.items()),
+            ]
+        return "\n".join(lines) + "\n"
+
+    def write(self, path: str | Path) -> None:
+        """Write a new `rig.toml`, whole or not at all."""
+        write_whole(path, self.to_toml())
+
+    def note(self, path: str | Path) -> None:
+        """Write what is known of the servos, and how it was found, into the `rig.toml` that this was read from.
+
+        What its user wrote there stays, comments too (`rig_text.py`).
+
+        Raises:
+            ServoError: it is no rig any more. OSError: it cannot be read or written.
+        """
+        read_rig(path)
+        write_whole(path, noted(Path(path).read_text("utf-8"), self.to_toml()))
+
+
+def read_rig(path: str | Path) -> Rig:
+    """Read a `rig.toml`.
+
+    Raises:
+        ServoError: it is missing, no TOML, of another schema, an entry is not what it has to be, or nobody knows a key:
+            a mistyped stop or limit would be none.
+    """
+    file = Path(path)
+    try:
+        if file.exists() and not file.is_file():
+            raise ServoError(f"{file}: no file; give a rig.toml")
+        if file.stat().st_size > MOST_TEXT:
+            raise ServoError(f"{file}: too large for a rig")
+        table = TomlTable(tomllib.loads(file.read_text("utf-8")), str(file))
+        table.choice("schema", (SCHEMA,), "")
+        port, baud = table.get("port", (str,), ""), table.whole("baud", 57_600, 9_600, 4_500_000)
+        servos = []
+        for k, entry in enumerate(table.get("servo", (list,), [])):
+            one = TomlTable(entry, f"{file}: servo {k + 1}")
+            id = one.whole("id", None, 0, 252)
+            if id is None:
+                raise ServoError(f"{file}: servo {k + 1} has no id; `softmap servo scan` finds it")
+            servos.append(
+                RigServo(
+                    id,
+                    one.get("model", (str,), ""),
+                    one.whole("home", None, -FARTHEST, FARTHEST),
+                    one.number("current_mA", None, *RANGES["current_mA"]),
+                    one.whole("low", None, *_whole(RANGES["low"])),
+                    one.whole("high", None, *_whole(RANGES["high"])),
+                    one.number("slew", None, *RANGES["slew"]),
+                    one.number("acceleration", None, *RANGES["acceleration"]),
+                )
+            )
+            one.done()
+        if not port or baud is None:
+            raise ServoError(f"{file}: no port; `softmap servo scan` finds it")
+        ceiling = read_ceiling(table.table("ceiling"))
+        emergency = read_emergency(table.table("emergency"), file.parent)
+        made = table.table("made")
+        found = {name: _found(made.table(name)) for name in made.values}
+        table.done()
+        return Rig(port, baud, tuple(servos), ceiling, emergency, found, file=str(file))
+    except OSError as fault:
+        make = f"make it with `softmap servo setup --rig {shlex.quote(str(file))}`"
+        raise ServoError(f"{file}: {fault.strerror}; {make}") from None
+    except ServoError:
+        raise
+    except SoftmapError as fault:
+        raise ServoError(str(fault)) from None
+    except (ValueError, RecursionError) as fault:  # what is no TOML or no text is a ValueError
+        raise ServoError(f"{file}: no TOML ({fault!s:.80})") from None
+
+
+def _whole(bounds: tuple[float, float]) -> tuple[int, int]:
+    return int(bounds[0]), int(bounds[1])
+
+
+def _found(table: TomlTable) -> dict[str, Any]:
+    """Return how something was found: texts, numbers and lists of them."""
+    for key, value in table.values.items():
+        each = value if isinstance(value, list) else [value]
+        if not all(isinstance(one, str | int | float) for one in each):
+            raise ServoError(
+                f"{table.where}: {key} is {type(value).__name__}, expected a text, a number or a list of them"
+            )
+    return table.values

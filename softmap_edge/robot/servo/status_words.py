@@ -1,0 +1,239 @@
+"""What the guard does and why, in words: of its states, its causes, and what it denies.
+
+Whatever shows them to somebody takes them from here. Pinned by tests/test_servo_words.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Literal
+
+from softmap_edge.robot.remedies import parted
+from softmap_edge.robot.servo.conditions import COOL_DOWN, POWER, denied_for
+from softmap_edge.robot.servo.known_state import hardware
+
+Level = Literal["off", "ready", "driving", "holding", "fault"]
+
+LEVELS: dict[str, Level] = {
+    "ready": "ready",
+    "engaged": "driving",
+    "hold": "holding",
+    "safe_stop": "holding",
+    "commissioning": "holding",
+    "fault": "fault",
+}
+CAUSES = {
+    "none": "",
+    "asked": "somebody asked for it",
+    "deadman": "the deadman was released",
+    "stale": "no target came in time",
+    "refused": "targets were refused: not finite, or a jump too far",
+    "late": "a servo did not answer in time",
+    "overload": "a servo draws more current than it may",
+    "voltage": "the supply voltage is outside its limits",
+    "hot": "a servo is too hot",
+    "emergency": "the emergency stop is pressed, or its line is dead",
+    "silent": "a servo is silent: unplugged, or without power",
+    "hardware": "a servo reports a hardware error",
+    "following": "a servo does not follow: blocked, or its encoder stands",
+    "lost": "a position moved faster than a servo can: turns lost, or ids exchanged",
+    "dropped": "a servo lost its torque by itself: it was reset or shut down",
+    "tripped": "a servo's own watchdog tripped, or it does not keep its watchdog or cap",
+    "loop": "the control loop died or froze",
+}
+NAMES = {
+    "off": "off",
+    "connected": "connected",
+    "homed": "home proved",
+    "ready": "ready",
+    "engaged": "driving",
+    "hold": "holding",
+    "safe_stop": "slackening",
+    "commissioning": "commissioning",
+    "fault": "fault",
+}
+DENIED = {
+    "from": "not allowed in state {}",
+    "trouble": "something is wrong: {}",
+    "torque": "a servo has torque; `softmap servo off` releases it",
+    "outside": "a servo stands outside its window; turn it back with `softmap move`, or home the robot again",
+    "undriven": "no fresh target, or the deadman is not pressed",
+}
+STATES = {
+    "off": "Not connected, torque is off",
+    "connected": "Connected, torque is off; home has to be proved before anything moves",
+    "homed": "Home is proved, torque is off",
+    "ready": "Ready, torque is off",
+    "engaged": "Driving",
+    "hold": "Holding where it is; it slackens soon",
+    "safe_stop": "Slackening: it goes straight, then torque goes off",
+    "commissioning": "Commissioning",
+    "fault": "Fault, torque is off",
+}
+BUS = ("asked", "lost", "damaged", "unasked")  # counts of answers in a report
+MANY_LOST = 0.01  # share of lost answers that is reported
+REMEDIES = {  # of causes; what is left out needs none
+    "late": "check the cables of the bus, and close what else loads this computer",
+    "overload": "find what holds the finger; `softmap servo pull --rig FILE` measures the current that it needs",
+    "voltage": POWER,
+    "hot": COOL_DOWN,
+    "emergency": "release the emergency stop",
+    "silent": "check its power and its cables",
+    "following": "find what holds the finger, or the coupling that slips",
+    "lost": "check the ids of the servos, and every coupling",
+    "dropped": "check its power, and that no other program uses the port",
+    "tripped": "close other programs that use the port, and check the cables",
+}
+SENSED = ("hot", "voltage")  # causes whose value and limit a report shows
+LOSES_HOME = ("silent", "hardware", "following", "lost", "dropped", "tripped")  # causes, under torque
+QUIET = ("engaged", "ready")  # states in which the cause is that of what was before
+
+
+def level(report: dict[str, Any]) -> Level:
+    """Return the kind of state that a report tells, of which each has a colour."""
+    return LEVELS.get(str(report.get("state", "off")), "off")
+
+
+def state(report: dict[str, Any]) -> str:
+    """Return the short name of the state that a report tells."""
+    name = str(report.get("state", "off"))
+    return NAMES.get(name, name)
+
+
+def cause(report: dict[str, Any], limits: Mapping[str, Any] | None = None) -> str:
+    """Return why it is in that state, "" if the report names no cause; with `limits` with the value and its limit."""
+    name, servo = str(report.get("cause", "none")), report.get("servo")
+    if name == "hardware" and (said := errors(report)):
+        return said
+    if name in SENSED and (said := parted(denied_for(name, report, limits))[0]):
+        return said
+    why = CAUSES.get(name, name)
+    if isinstance(servo, int) and why.startswith("a servo"):
+        id = report.get("id")
+        why = f"servo {servo + 1 if id is None else id}{why[len('a servo') :]}"
+    return why
+
+
+def errors(report: dict[str, Any]) -> str:
+    """Return the hardware errors of the servos as text; "" if there are none."""
+    known = report.get("hardware") or []
+    ids = report.get("ids") or list(range(1, len(known) + 1))
+    said = [f"servo {id} reports a hardware error: {hardware(bits)}" for id, bits in zip(ids, known) if bits]
+    return ", ".join(said)
+
+
+def bus(report: dict[str, Any]) -> str:
+    """Return a sentence on answers that were lost or not asked for; "" if there are none."""
+    asked, lost, damaged, unasked = (int(report.get(name) or 0) for name in BUS)
+    said = [f"{unasked} answers came that this program did not ask for"] if unasked else []
+    said += [f"{lost} of {asked} answers of the servos were lost"] if lost > MANY_LOST * asked else []
+    said += [f"{damaged} were damaged"] if said and damaged else []
+    why = "another program uses the port, or two servos share an id" if unasked else "look at the wiring of the bus"
+    return f"{', '.join(said)}; {why}" if said else ""
+
+
+def where(report: dict[str, Any], limits: Mapping[str, Any] | None = None) -> str:
+    """Return state and cause as part of a sentence: `in state slackening (no target came in time)`."""
+    why = cause(report, limits)
+    return f"in state {state(report)}" + (f" ({why})" if why else "")
+
+
+def onward(report: dict[str, Any], *, terminal: bool = False, bench: bool = True) -> str:
+    """Return what to do in a state that follows no commands.
+
+    Args:
+        report: the newest of the loop.
+        terminal: whether its reader typed a command; else they wrote a program, and the methods are named.
+        bench: whether the robot has a rig file; one that a command emulates is homed again by each start.
+    """
+    return _typed(report, bench) if terminal else _called(report)
+
+
+def _typed(report: dict[str, Any], bench: bool) -> str:
+    """Return what to do at the command line, where the same command is run again."""
+    home = "home the robot again (`softmap servo home --rig FILE`)" if bench and _unhomed(report) else ""
+    steps = [_remedy(report), home]
+    return ", then ".join([*filter(None, steps), "run the same command again"])
+
+
+def _called(report: dict[str, Any]) -> str:
+    """Return what a program does: the remedy, and the methods of a Controller that lead on."""
+    state, why = report.get("state", "off"), report.get("cause")
+    if state == "fault" and why == "loop":
+        return "start another Controller"
+    if _unhomed(report):
+        again = "home the robot again (`softmap servo home --rig FILE`), and start another Controller"
+        return ", then ".join(filter(None, [_remedy(report), again]))
+    acknowledge = 'call request("acknowledge"), request("arm") and engage(), or start another Controller'
+    if state == "fault":
+        return ", then ".join(filter(None, [_remedy(report), acknowledge]))
+    if state == "safe_stop" and _remedy(report):
+        return f"torque goes off; {_remedy(report)}, then {acknowledge}"
+    if state == "safe_stop":
+        return "wait until it is ready, then call engage()"
+    return 'call request("arm") and engage() first' if state == "homed" else "call engage() first"
+
+
+def _remedy(report: dict[str, Any]) -> str:
+    """Return what removes the cause, "" if nothing has to."""
+    why = str(report.get("cause"))
+    return restarts(report) if why == "hardware" else REMEDIES.get(why, "")
+
+
+def _unhomed(report: dict[str, Any]) -> bool:
+    """Return whether home has to be proved again."""
+    state = report.get("state", "off")
+    return state in ("off", "connected") or (state == "fault" and report.get("cause") in LOSES_HOME)
+
+
+def restarts(report: dict[str, Any]) -> str:
+    """Return the remedy for a servo with a hardware error."""
+    ids = [id for id, bits in zip(report.get("ids") or [], report.get("hardware") or []) if bits] or ["N"]
+    return f"find the cause, restart it (`softmap servo reboot --rig FILE --id {ids[0]}`, or its supply off and on)"
+
+
+def denied(said: str, report: dict[str, Any] | None = None, limits: Mapping[str, Any] | None = None) -> str:
+    """Return why a request was denied, of what the loop's report says: `from(ready)`, `trouble(late)`, `torque`, …"""
+    kind, _, of = said.rstrip(")").partition("(")
+    if named := denied_for(of or kind, report or {}, limits):
+        return named
+    why = NAMES.get(of) or CAUSES.get(of) or of
+    why += f"; {REMEDIES[of]}" if limits is not None and of in REMEDIES else ""
+    if of == "hardware" and (named := errors(report or {})):
+        why = f"{named}; {restarts(report or {})}"
+    return DENIED[kind].format(why) if kind in DENIED else said
+
+
+def sentence(report: dict[str, Any]) -> str:
+    """Return what the guard's newest report says, and why."""
+    name = str(report.get("state", "off"))
+    said = STATES.get(name, name)
+    why = "" if name in QUIET else cause(report)
+    if name == "fault" and (report.get("torque") or report.get("cause") == "silent"):
+        said = "Fault, torque off was sent; not every servo confirmed it"
+    rescued = report.get("rescued")
+    return f"{said}: {why}" + (f" ({rescued})" if rescued else "") if why else said
+
+
+def limits(report: dict[str, Any]) -> list[str]:
+    """Return what the guard keeps the targets from."""
+    told = {
+        "outside": "at the edge of the window",
+        "slowed": "as fast as allowed",
+        "jumped": "a jump is slowed down",
+        "refused": "a target is refused",
+    }
+    return [text for key, text in told.items() if report.get(key)]
+
+
+def lost(report: dict[str, Any], why: str) -> str:
+    """Return why driving ended, where the guard's report does not say so, and what leads on."""
+    state = str(report.get("state", "off"))
+    again = "release the key and press it again"
+    if state in ("off", "connected") or (state == "fault" and report.get("cause") in LOSES_HOME):
+        again = "end this, and home the robot again (softmap servo home)"
+        if report.get("cause") == "hardware":
+            again = f"end this, {restarts(report)}, and home the robot again (softmap servo home)"
+    elif state in ("fault", "homed"):
+        again = "let go of the key, then reset the fault"
+    return again if why == sentence(report) else f"driving ended: {why}; {again}"

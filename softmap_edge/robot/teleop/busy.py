@@ -1,0 +1,53 @@
+"""Detect that the computer is too busy for a simulated robot: the robot stops meanwhile, which is reported.
+
+Real servos do not wait, so this does not apply to them. Pinned by tests/test_simulated_time.py.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+
+from softmap_edge.robot.servo.clock import BUSY, Clock
+
+LATE = 0.05  # s between two rounds, several times what one takes: the computer had no time for this program
+LONG, AGAIN = 0.2, 5.0  # s of standstill before a report, and between two reports
+SHOWN = 1.0  # s for which a page shows it
+
+
+class Busy:
+    """Counts how long the computer was too busy for a simulated robot in the time of `clock`.
+
+    Args:
+        clock: of the robot. say: called with a line after a standstill.
+    """
+
+    def __init__(self, clock: Clock, say: Callable[[str], None]) -> None:
+        self._clock, self._say = clock, say
+        self._last: float | None = None
+        self._gaps: deque[tuple[float, float]] = deque(maxlen=20)
+        self._reported, self._reported_at = 0.0, -AGAIN
+        self.seconds, self._stood_at = 0.0, -AGAIN
+
+    def round(self, now: float) -> None:
+        """Register that a round begins at `now` s (steady clock)."""
+        before, self.seconds = self.seconds, self._clock.there()
+        self._stood_at = now if self.seconds > before else self._stood_at
+        if self._clock.simulated and self._last is not None and now - self._last > LATE:
+            self._gaps.append((self._last, now))
+        self._last = now
+        if (stood := self.seconds - self._reported) > LONG and now - self._reported_at >= AGAIN:
+            self._reported, self._reported_at = self.seconds, now
+            self._say(f"{BUSY}: the simulated robot stood still for {stood:.1f} s, and goes on")
+
+    def line(self, now: float) -> str:
+        """Return the line of the page at `now` s on a recent standstill; "" if there was none."""
+        return BUSY if now - self._stood_at < SHOWN else ""
+
+    def age(self, t: float, now: float) -> float:
+        """Return the age (s) of data seen at `t`, without the time in which this program could not run."""
+        return now - t - sum(max(0.0, end - max(begin, t)) for begin, end in self._gaps)
+
+    def end(self) -> None:
+        """Let the robot go on independently of this program."""
+        self.seconds = max(self.seconds, self._clock.there(driving=False))

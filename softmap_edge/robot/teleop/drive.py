@@ -1,0 +1,344 @@
+"""A hand or a knob drives a robot: newest sight → filter → clutch → point → command → the control loop.
+
+One thread, at least SENT times a second: it asks the inputs, takes the newest sight and sends one target; nothing is
+queued. Vision alone never drives: it takes a key that is held (`keys`), and a hand that goes, or a gesture, only ends
+it (`clutch`). Who holds nothing is released to the guard, which holds, then slackens (docs/safety.md).
+Pinned by tests/test_teleop_drive.py through the real loop on emulated servos.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softmap_edge.errors import ServoError
+from softmap_edge.robot.control.controller import Controller
+from softmap_edge.robot.motion.kinematics import Kinematics
+from softmap_edge.robot.servo import status_words as words
+from softmap_edge.robot.teleop.busy import Busy
+from softmap_edge.robot.teleop.clutch import Clutch
+from softmap_edge.robot.teleop.gesture import Deadman, Rule
+from softmap_edge.robot.teleop.hand import Hand, HandMap
+from softmap_edge.robot.teleop.hand_source import SEEN, Eyes, Sight
+from softmap_edge.robot.teleop.keys import Controls, Input
+from softmap_edge.robot.teleop.mapping import Aim
+from softmap_edge.robot.teleop.one_euro import OneEuro, OneEuroState
+from softmap_edge.robot.teleop.own_hand import ANOTHER, OwnHand
+
+Floats = NDArray[np.float64]
+
+SENT = 100.0  # targets a second, at least, while driving
+DRIVABLE = ("engaged", "hold")
+BEGINS = ("ready", *DRIVABLE)
+GONE = ("gone", "error", "rescued")  # of a report: the control loop is no more
+MOST_KEPT = 200_000  # latencies: an hour and a half at 30 pictures a second
+
+
+@dataclass
+class Account:
+    """What a session was: pictures taken, with a hand and driven from; seconds in each state; why driving ended."""
+
+    states: dict[str, float] = field(default_factory=dict)  # s
+    engaged_s: float = 0.0
+    busy_s: float = 0.0  # for which a simulated robot stood, because the computer was too busy
+    presses: int = 0
+    lost: Counter[str] = field(default_factory=Counter)
+    latency: list[float] = field(default_factory=list)  # s from a picture to the target sent for it
+    ended: str = ""
+    failed: bool = False
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return it as the document's entries."""
+        ms = 1e3 * np.array(self.latency or [np.nan])
+        several = len(self.latency) > 0
+        return {
+            "driven_from": len(self.latency),
+            "latency_ms": {"median": _round(np.median(ms)), "p95": _round(np.quantile(ms, 0.95))} if several else None,
+            "states_s": {state: round(seconds, 3) for state, seconds in self.states.items()},
+            "driving_s": round(self.engaged_s, 3),
+            "busy_s": round(self.busy_s, 3),
+            "presses": self.presses,
+            "lost": dict(self.lost),
+            "ended": self.ended,
+        }
+
+
+def _round(number: Any) -> float:
+    return round(float(number), 2)
+
+
+@dataclass(frozen=True, eq=False)
+class Moment:
+    """What is shown: the guard's report, the clutch, what drives, the newest sight, (c_f, c_r) as filtered, the knob,
+    where the finger is and is led to in the plane (mm), and how old (s) what is driven from is."""
+
+    t: float
+    report: dict[str, Any]
+    clutch: Clutch
+    controls: Controls
+    sight: Sight | None
+    seen: Floats | None
+    here: Floats
+    led: Floats | None
+    age: float | None
+    lacking: str
+    busy: str = ""  # the computer is too busy for a simulated robot
+
+
+class Drive:
+    """Drives an entered `robot` until something ends it.
+
+    Args:
+        robot: as entered. kinematics: of the model that the robot's commands are meant for. aim: the plane. eyes:
+            entered. inputs: whose keys count, the first that is held. reach: as `HandMap`. flip: axes of the hand that
+            change their sign. rule: the gesture beside the key. stays: go on without the camera once it is gone, for
+            the knob to drive. sent: called with the time of each picture that is driven from, and its command. show:
+            called with each moment, and must not wait. say: called with each new line.
+    """
+
+    def __init__(
+        self,
+        robot: Controller,
+        kinematics: Kinematics,
+        aim: Aim,
+        eyes: Eyes,
+        inputs: Sequence[Input],
+        *,
+        reach: tuple[float, float] = HandMap.reach,
+        flip: tuple[bool, bool] = (False, False),
+        rule: Rule = "fist releases",
+        stays: bool = False,
+        sent: Callable[[float, Floats], None] | None = None,
+        show: Callable[[Moment], None] | None = None,
+        say: Callable[[str], None] | None = None,
+    ) -> None:
+        self._robot, self._aim, self._eyes, self._inputs = robot, aim, eyes, list(inputs)
+        self._map = HandMap(aim.box, reach, flip)
+        self._kinematics, self._settled = kinematics, kinematics.inverse()
+        self._clutch, self._gesture, self._filter = Clutch(), Deadman(rule), OneEuro()
+        self._stays, self._sent, self._show, self._say = stays, sent, show, say
+        self._smooth: OneEuroState | None = None
+        self._last_sight = -1
+        self._own = OwnHand()  # that of the press, while it drives
+        self._hand: Hand | None = None  # that counts in the newest sight
+        self._held_by: Hand | None = None  # the one that the filter heard last
+        self._start = (np.zeros(2), np.zeros(2))  # where hand or knob, and the finger, were at the press
+        self._source, self._led, self._driven = "", np.zeros(2), -np.inf
+        self._line = ""
+        self._busy = Busy(robot.time, self._note)
+        self.account = Account()
+
+    def run(self, seconds: float | None = None) -> Account:
+        """Drive for some seconds, or until the file, the loop or an input ends it; the finger is let go of then."""
+        begun = before = time.monotonic()
+        try:
+            while not self.account.ended:
+                now = time.monotonic()
+                self._count(now - before)
+                before = now
+                self._busy.round(now)
+                self._once(now)
+                if seconds is not None and now - begun >= seconds:
+                    self.account.ended = f"after {seconds:g} s, as asked"
+                self._eyes.wait(self._last_sight, 1.0 / SENT)
+        except KeyboardInterrupt:
+            self.account.ended = "interrupted"
+        finally:
+            if self._clutch.stage == "driving":
+                self._robot.release()
+            self._busy.end()
+            self.account.busy_s = self._busy.seconds
+        return self.account
+
+    # --- one round ----------------------------------------------------------------------
+
+    def _once(self, now: float) -> None:
+        state = self._robot.state
+        report = self._robot.report
+        sight = self._take()
+        who, controls = self._holding(now)
+        lacking = self._lacking(now, state, controls, bool(who))
+        before = self._clutch
+        if controls.source != self._source:  # another way to drive is no reason to go on
+            self._clutch = self._clutch.lose(f"the {controls.source} was chosen")
+            self._source = controls.source
+        self._clutch = self._clutch.step(now, who, lacking)
+        self._wishes(state)
+        if self._clutch.stage == "driving":
+            try:
+                if before.stage != "driving":
+                    self._press(state, report, controls)
+                self._target(controls)
+            except ServoError as fault:
+                self._clutch = self._clutch.lose(str(fault))
+        if before.stage == "driving" and self._clutch.stage != "driving":
+            self._robot.release()
+        if self._clutch.stage == "lost" and before.stage != "lost":
+            self.account.lost[self._clutch.why] += 1
+        self._over(report)
+        here = self._here(report)
+        if self._clutch.stage != "driving":
+            for one in self._inputs:
+                one.rest(self._knob(here))
+        self._tell(report)
+        if self._show is not None:
+            seen = None if self._smooth is None or self._old(self._smooth.t, now) else self._smooth.x
+            age = None if sight is None else now - sight.t
+            led = self._led if self._clutch.stage == "driving" else None
+            busy = self._busy.line(now)
+            self._show(Moment(now, report, self._clutch, controls, sight, seen, here, led, age, lacking, busy))
+
+    def _take(self) -> Sight | None:
+        """Take the newest sight, once, into the filter."""
+        sight = self._eyes.newest()
+        if sight is None or sight.number == self._last_sight:
+            return sight
+        self._last_sight = sight.number
+        self._hand = self._own.among(sight.hands, sight.t) if self._clutch.stage == "driving" else sight.hand
+        seen = self._eyes.view.projection(self._hand)
+        if seen is not None:
+            self._smooth, self._held_by = self._filter.step(self._smooth, sight.t, seen), self._hand
+        return sight
+
+    def _holding(self, now: float) -> tuple[str, Controls]:
+        """Return who holds the key, and what counts: theirs, or what the first input says."""
+        said = [(one.name, one.controls(now)) for one in self._inputs]
+        for name, controls in said:
+            if controls.held:
+                return name, controls
+        return "", said[0][1] if said else Controls()
+
+    def _lacking(self, now: float, state: str, controls: Controls, key: bool) -> str:
+        """Return in words what driving lacks, empty where nothing does."""
+        sight = self._eyes.newest()
+        shown = None if sight is None or self._old(sight.t, now) else sight
+        gesture = self._gesture.held(key, None if shown is None else self._hand, now)
+        if state not in (DRIVABLE if self._clutch.stage == "driving" else BEGINS):
+            return words.sentence(self._robot.report)
+        if controls.source == "knob":
+            return ""
+        if self._eyes.gone:
+            return self._eyes.gone
+        if shown is None:
+            return f"{self._eyes.name}: no picture" + (" yet" if sight is None else f" for {now - sight.t:.1f} s")
+        if self._smooth is None or self._old(self._smooth.t, now):
+            return ANOTHER if self._clutch.stage == "driving" and self._own.other else "no hand is seen"
+        return "" if gesture or not key else f"the hand lets go ({self._gesture.rule})"
+
+    def _old(self, t: float, now: float) -> bool:
+        return self._busy.age(t, now) > SEEN
+
+    def _press(self, state: str, report: dict[str, Any], controls: Controls) -> None:
+        """Begin: what is seen now stands for where the finger is."""
+        self.account.presses += 1
+        self._own.begin(self._held_by, -np.inf if self._smooth is None else self._smooth.t)
+        at = np.zeros(2) if state == "ready" else self._here(report)
+        self._start = (self._pointed(controls), at)
+        if state == "ready":
+            self._robot.engage(self._aim.command(at))
+
+    def _pointed(self, controls: Controls) -> Floats:
+        if controls.source == "knob":
+            return np.array(controls.knob)
+        assert self._smooth is not None  # `_lacking` has seen to it
+        return self._smooth.x
+
+    def _target(self, controls: Controls) -> None:
+        """Send the newest target."""
+        pointed, (begin, at) = self._pointed(controls), self._start
+        low, high = self._aim.box.T
+        if controls.source == "knob":
+            moved = pointed - begin
+            led = at + np.where(moved < 0, -low, high) * moved
+        else:
+            led = at + self._map.command(pointed, begin)
+        self._led = np.clip(led, low, high)
+        u = self._aim.command(self._led)
+        self._robot.target(u)
+        if controls.source == "hand" and self._smooth is not None and self._smooth.t != self._driven:
+            self._driven = self._smooth.t
+            if len(self.account.latency) < MOST_KEPT:
+                self.account.latency.append(time.monotonic() - self._smooth.t)
+            if self._sent is not None:
+                self._sent(self._smooth.t, u)
+
+    def _wishes(self, state: str) -> None:
+        wishes = [(one.name, wish) for one in self._inputs if (wish := one.asked())]
+        for name, wish in wishes:
+            if wish == "end":
+                self.account.ended = f"ended at {name}"
+                continue
+            if wish == "acknowledge":
+                self._acknowledge(state)
+                continue
+            self._clutch = self._clutch.lose(f"{wish} at {name}")
+            try:
+                if wish == "emergency":
+                    self._robot.emergency()
+                else:
+                    self._robot.request("stop")
+            except ServoError as fault:
+                self._note(str(fault))
+
+    def _acknowledge(self, state: str) -> None:
+        try:
+            if state == "fault":
+                self._robot.emergency(False)  # the one that was pressed here; a line or heartbeat of the bench stays
+                self._robot.request("acknowledge")
+            if self._robot.state == "homed":
+                self._robot.request("arm")
+        except ServoError as fault:
+            self._line = ""
+            self._note(str(fault))
+
+    # --- what it looks like -------------------------------------------------------------
+
+    def _here(self, report: dict[str, Any]) -> Floats:
+        """Where the finger is in the plane, by the goals that were sent last, or where the servos are."""
+        ticks = report.get("goal") or []
+        if None in ticks or not ticks:
+            ticks = report.get("position") or []
+        if None in ticks or not ticks:
+            return np.zeros(2)
+        u = self._robot.calibration.commands([ticks])[0]
+        acting = self._settled.settle(np.clip(u, *self._kinematics.bounds.T))
+        return np.clip(self._aim.point(acting), *self._aim.box.T)
+
+    def _knob(self, here: Floats) -> tuple[float, float]:
+        low, high = self._aim.box.T
+        x, y = np.clip(here / np.where(here < 0, -low, high), -1.0, 1.0)
+        return float(x), float(y)
+
+    def _count(self, passed: float) -> None:
+        state = self._robot.state
+        self.account.states[state] = self.account.states.get(state, 0.0) + passed
+        self.account.engaged_s += passed if self._clutch.stage == "driving" else 0.0
+
+    def _over(self, report: dict[str, Any]) -> None:
+        why = next((str(report[key]) for key in GONE if report.get(key)), "")
+        if why:
+            self.account.ended, self.account.failed = why, True
+        elif self._eyes.over:
+            self.account.ended = f"{self._eyes.name}: has ended"
+        elif self._eyes.gone and not self._stays and self._robot.state not in ("engaged", "hold", "safe_stop"):
+            self.account.ended, self.account.failed = self._eyes.gone, True  # once it has slackened
+
+    def _tell(self, report: dict[str, Any]) -> None:
+        said = words.sentence(report)
+        if self._clutch.stage == "lost":
+            said += f"; {words.lost(report, self._clutch.why)}"
+        elif self._clutch.stage == "waiting" and self._clutch.why:
+            said += f"; waiting: {self._clutch.why}"
+        if said != self._line:
+            self._note(said)
+
+    def _note(self, said: str) -> None:
+        self._line = said
+        if self._say is not None:
+            self._say(said)

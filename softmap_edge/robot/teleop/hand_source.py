@@ -1,0 +1,207 @@
+"""What is seen of the hand, newest first: a thread takes pictures and finds landmarks, or they come over UDP.
+
+A sight replaces the one before; whoever is slower than the camera misses some, and none waits. What ends it (camera
+gone, file over) is told, not raised. Pinned by tests/test_teleop_drive.py.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from abc import ABC, abstractmethod
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Protocol, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softmap_edge.errors import TeleopError, brief
+from softmap_edge.robot.teleop.frames import CameraFrames, FileFrames, Frame
+from softmap_edge.robot.teleop.hand import Hand, View, surest
+from softmap_edge.robot.teleop.keys import Controls, HeldKey
+from softmap_edge.robot.teleop.landmarker import Landmarker
+from softmap_edge.robot.teleop.landmarks import Receiver
+
+LOOK = 0.005  # s between two looks at what came over UDP
+SEEN = 0.15  # s after which a hand that is not seen any more is gone: four pictures; one that is missed is none
+FRESH = 0.5  # s for which an old message is still news: beyond, the sender was away
+
+
+@dataclass(frozen=True, eq=False)
+class Sight:
+    """The surest hand that may drive in a picture, if any, when it was taken (s, steady clock), its number from 0, the
+    picture (None where landmarks came alone), and all hands in it that may drive."""
+
+    t: float
+    number: int
+    hand: Hand | None
+    picture: NDArray[np.uint8] | None = None
+    hands: tuple[Hand, ...] = ()
+
+
+class Pictures(Protocol):
+    """A camera or file (`frames`)."""
+
+    def __iter__(self) -> Iterator[Frame]: ...
+
+    def close(self) -> None:
+        """Give it back."""
+        ...
+
+
+class Finder(Protocol):
+    """What finds hands in pictures (`landmarker`)."""
+
+    def see(self, picture: NDArray[np.uint8], t: float) -> list[Hand]:
+        """Return the hands in a picture taken at `t` s."""
+        ...
+
+    def close(self) -> None:
+        """Give it back."""
+        ...
+
+
+class Eyes(ABC):
+    """The slot that a thread of its own fills; a context manager. `gone` says in a line why nothing comes any more,
+    `over` that a file came to its end. `.taken` and `.hands` count pictures and those with the driving hand."""
+
+    def __init__(self, name: str, view: View) -> None:
+        self.name, self.view = name, view
+        self.gone, self.over = "", False
+        self.taken = self.hands = 0
+        self._sight: Sight | None = None
+        self._news = threading.Condition()
+        self._done = threading.Event()
+        self._thread = threading.Thread(target=self._run, name=f"eyes of {name}", daemon=True)
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, fault: BaseException | None, at: TracebackType | None) -> None:
+        self._done.set()
+        self._close()
+        self._thread.join(5.0)
+
+    def newest(self) -> Sight | None:
+        """Return the newest sight; None before the first."""
+        return self._sight
+
+    def wait(self, number: int, seconds: float) -> None:
+        """Wait until a sight other than `number` is there, at most some seconds."""
+        with self._news:
+            self._news.wait_for(lambda: self._sight is not None and self._sight.number != number, seconds)
+
+    def _see(self, sight: Sight) -> None:
+        self.taken += 1
+        self.hands += sight.hand is not None
+        with self._news:
+            self._sight = sight
+            self._news.notify_all()
+
+    def _run(self) -> None:
+        try:
+            self._watch()
+            self.over = not self._done.is_set()
+        except TeleopError as fault:
+            self.gone = str(fault)
+        except Exception as fault:  # a driver's or mediapipe's own: the hand is gone, the loop goes on
+            self.gone = f"{self.name}: failed ({type(fault).__name__}: {brief(fault)}); begin again"
+
+    @abstractmethod
+    def _watch(self) -> None:
+        """Fill the slot until there is nothing more to see."""
+
+    def _close(self) -> None:  # noqa: B027
+        """End what the thread may wait for."""
+
+
+class NoEyes(Eyes):
+    """Nothing is seen: keys and knob drive."""
+
+    def __init__(self) -> None:
+        super().__init__("none", View())
+
+    def _watch(self) -> None:
+        self._done.wait()
+
+
+class CameraEyes(Eyes):
+    """Hands in pictures."""
+
+    def __init__(self, name: str, pictures: Pictures, finder: Finder, view: View) -> None:
+        super().__init__(name, view)
+        self._pictures, self._finder = pictures, finder
+
+    def _watch(self) -> None:
+        try:
+            for frame in self._pictures:
+                if self._done.is_set():
+                    return
+                hands = self.view.allowed(self._finder.see(frame.picture, frame.t))
+                self._see(Sight(frame.t, frame.number, surest(hands), frame.picture, tuple(hands)))
+        except TeleopError:
+            if not self._done.is_set():
+                raise
+        finally:
+            self._finder.close()
+            self._pictures.close()
+
+    def _close(self) -> None:
+        if isinstance(self._pictures, CameraFrames):  # whoever waits for its next picture ends at once
+            self._pictures.close()
+
+
+class FarEyes(Eyes):
+    """Landmarks and key of another computer (`landmarks_udp`); an input as well (`keys.Input`)."""
+
+    def __init__(self, receiver: Receiver, view: View) -> None:
+        super().__init__("the other computer", view)
+        self._receiver, self._key = receiver, HeldKey()
+
+    def _watch(self) -> None:
+        last = None
+        while not self._done.wait(LOOK):
+            got = self._receiver.newest()
+            if got is None or got.message is last or got.age > FRESH:
+                continue
+            last = got.message
+            now = time.monotonic()
+            self._key.say(last.held, now - got.age)
+            hands = self.view.allowed([] if last.hand is None else [last.hand])
+            self._see(Sight(now - got.age, got.sequence, surest(hands), None, tuple(hands)))
+        self._receiver.close()
+
+    def controls(self, now: float) -> Controls:
+        """Return whether the key is held over there."""
+        return Controls(self._key.held(now), source="hand")
+
+    def asked(self) -> str | None:
+        """Ask for nothing."""
+        return None
+
+    def rest(self, knob: tuple[float, float]) -> None:
+        """Hear nothing: there is no knob."""
+
+    @property
+    def refused(self) -> dict[str, int]:
+        """How many datagrams were not taken, by why (`landmarks_udp.Receiver`)."""
+        return dict(self._receiver.refused)
+
+
+def camera_eyes(what: int | Path, model: str | Path | None, view: View) -> CameraEyes:
+    """Open a camera by its number, or a video file played at its own rate, with mediapipe's hands.
+
+    Raises:
+        TeleopError: as `Landmarker`, `CameraFrames`, `FileFrames`.
+    """
+    finder = Landmarker(model)
+    try:
+        pictures = CameraFrames(what) if isinstance(what, int) else FileFrames(what)
+    except BaseException:
+        finder.close()
+        raise
+    return CameraEyes(f"camera {what}" if isinstance(what, int) else str(what), pictures, finder, view)

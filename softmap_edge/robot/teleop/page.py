@@ -1,0 +1,358 @@
+"""The page on localhost: shows picture, hand, finger and guard, and takes keyboard, mouse and the deadman.
+
+Served from this package alone by `websockets` (BSD; its threaded server needs no event loop beside the loop that
+drives). Who has the link drives: its random token is in the part behind `#`, which no browser sends to anybody, and is
+asked of every connection. Host must be an address or localhost (a name that was bent to this computer, DNS rebinding,
+is refused) and Origin this very page. One page drives at a time, others watch; its key lapses by `keys.HeldKey`.
+Nothing is queued: a page is sent the newest state when it has taken the last. By the numbers of states that come back
+it is known how old a word of the page may be at most (`_Link`), however evenly the network delays it; one that may be
+older than LATE holds no key. Pinned by tests/test_teleop_page.py.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hmac
+import importlib
+import ipaddress
+import json
+import logging
+import math
+import secrets
+import struct
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from importlib.resources import files
+from types import TracebackType
+from typing import Any, Self
+from urllib.parse import parse_qs, urlsplit
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softmap_edge.errors import TeleopError
+from softmap_edge.robot.teleop.keys import GRAVEST, Controls, HeldKey, Source, Wish
+from softmap_edge.robot.teleop.requirements import INSTALL
+
+Floats = NDArray[np.float64]
+View = Callable[[], tuple[dict[str, Any], Floats | None, tuple[int, NDArray[np.uint8]] | None]]
+
+PORT = 8765
+OFTEN = 1 / 30  # s between two states that a page is sent
+MOST_PAGES = 8
+LONGEST = 2048  # bytes of a page's message
+MOST_OPENING = 16  # connections that have not brought their token yet; more are closed unheard
+OPENING = 5.0  # s for that
+LATE = 0.25  # s: a message that may be older tells nothing of now
+REMEMBERED = 64  # states that came back, by which a page's clock is read
+JPEG = 70  # quality, of 100: 25 kB a picture
+SERVED = {
+    "/": ("page.html", "text/html; charset=utf-8"),
+    "/page.js": ("page.js", "text/javascript; charset=utf-8"),
+    "/page_drawing.js": ("page_drawing.js", "text/javascript; charset=utf-8"),
+    "/page.css": ("page.css", "text/css; charset=utf-8"),
+}
+HEADERS = {
+    "Cache-Control": "no-store",
+    "Cross-Origin-Opener-Policy": "same-origin",
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Referrer-Policy": "no-referrer",
+    "X-Content-Type-Options": "nosniff",
+    "X-Frame-Options": "DENY",
+}
+PICTURE, POINTS = 1, 2  # kinds of binary messages: kind, number, then a JPEG or float32 (N, 3) mm
+
+
+class Page:
+    """A server of the page, an input (`keys.Input`); a context manager. `url` is the link to open.
+
+    Args:
+        port: 0 for any free one. host: address to listen at. source: what drives at first.
+
+    Raises:
+        TeleopError: websockets is absent, or the address cannot be listened at.
+    """
+
+    name = "the page"
+
+    def __init__(self, port: int = PORT, host: str = "127.0.0.1", source: Source = "knob") -> None:
+        if not 0 <= port <= 65535:
+            raise TeleopError(f"page: port {port}; ports are 1 to 65535, 0 takes any that is free")
+        try:
+            server = importlib.import_module("websockets.sync.server")
+        except ImportError:
+            raise TeleopError(f"page: websockets is not installed; run {INSTALL}, or give --page none") from None
+        self._token, self._source = secrets.token_urlsafe(24), source
+        self._key, self._wish, self._knob, self._rest = HeldKey(), Wish(), (0.0, 0.0), (0.0, 0.0)
+        self._driver: object | None = None
+        self._pages: set[object] = set()
+        self._lock = threading.Lock()
+        self._hello: dict[str, Any] = {}
+        self._view: View | None = None
+        self._encoded: tuple[int, bytes] = (-1, b"")
+        self._opening = threading.BoundedSemaphore(MOST_OPENING)
+        quiet = logging.getLogger("softmap_edge.robot.teleop.page")
+        quiet.setLevel(logging.CRITICAL)  # a page that goes is no news
+        try:
+            self._server = server.serve(
+                self._serve,
+                host,
+                port,
+                process_request=self._request,
+                create_connection=_door(server.ServerConnection, self._opening),
+                open_timeout=OPENING,
+                max_size=LONGEST,
+                max_queue=4,
+                compression=None,
+                server_header=None,
+                ping_interval=5,
+                ping_timeout=5,
+                close_timeout=1,
+                logger=quiet,
+            )
+        except OSError as fault:
+            raise TeleopError(f"page: {host}:{port} cannot be used ({fault.strerror}); give another --page") from None
+        self.port = int(self._server.socket.getsockname()[1])
+        shown = f"[{host}]" if ":" in host else host
+        self.url = f"http://{shown}:{self.port}/#{self._token}"
+        self._thread = threading.Thread(target=self._server.serve_forever, name="page", daemon=True)
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, fault: BaseException | None, at: TracebackType | None) -> None:
+        self._server.shutdown()
+        self._thread.join(3.0)
+
+    # --- what the driving thread asks and tells -----------------------------------------
+
+    def shows(self, hello: dict[str, Any], view: View) -> None:
+        """Set what a page is told when it comes, and what is asked for each state: the state, points, a picture."""
+        self._hello, self._view = hello, view
+
+    def controls(self, now: float) -> Controls:
+        """Return what the driving page says."""
+        return Controls(self._key.held(now), self._knob, self._source)
+
+    def asked(self) -> str | None:
+        """Return what a page asked for."""
+        return self._wish.take()
+
+    def rest(self, knob: tuple[float, float]) -> None:
+        """Hear where the finger is; pages are told."""
+        self._rest = knob
+
+    # --- requests -----------------------------------------------------------------------
+
+    def _request(self, connection: Any, request: Any) -> Any:
+        """Serve a file, refuse, or (None) go on to the connection that drives."""
+        host = request.headers.get_all("Host")
+        if len(host) != 1 or not _ours(host[0], self.port):
+            return _answer(connection, 421, b"this page is served under an address or localhost, not under this name\n")
+        try:
+            path = urlsplit(request.path)
+        except ValueError:
+            return _answer(connection, 404, b"there is no such page\n")
+        if path.path != "/drive":
+            if path.path not in SERVED or path.query:
+                return _answer(connection, 404, b"there is no such page\n")
+            name, kind = SERVED[path.path]
+            body = files("softmap_edge").joinpath("robot/teleop", name).read_bytes()
+            return _answer(connection, 200, body, kind, host[0])
+        if request.headers.get_all("Origin") != [f"http://{host[0]}"]:
+            return _answer(connection, 403, b"only the page itself may drive: wrong Origin\n")
+        token = parse_qs(path.query).get("token", [""])[-1]
+        if not hmac.compare_digest(token.encode(), self._token.encode()):
+            return _answer(connection, 403, b"wrong token; open the link that was printed\n")
+        if len(self._pages) >= MOST_PAGES:
+            return _answer(connection, 503, b"too many pages are open; close one\n")
+        return None
+
+    def _serve(self, connection: Any) -> None:
+        """Read what a page says; what it is sent goes by a thread of its own."""
+        with self._lock:
+            room = len(self._pages) < MOST_PAGES  # several may have been let in at once
+            if room:
+                self._pages.add(connection)
+        if not room:
+            connection.close(1013, "too many pages are open; close one")
+            return
+        self._sit(connection)
+        link = _Link()
+        writer = threading.Thread(target=self._write, args=(connection, link), daemon=True)
+        writer.start()
+        try:
+            for message in connection:
+                now = time.monotonic()
+                said = _read(message)
+                if said is None or not link.heard(said["shown"], said["t"], now):
+                    connection.close(1008, "not understood")
+                    break
+                if self._driver is connection or said.get("do") in ("stop", "emergency"):  # those anybody may ask for
+                    self._hear(said, now, link.age)
+                elif said.get("do") == "take":
+                    self._sit(connection)
+        finally:
+            self._stand(connection)
+
+    def _hear(self, said: dict[str, Any], now: float, age: float) -> None:
+        wish = said.get("do")
+        if wish in GRAVEST:
+            self._wish.ask(wish)
+        if wish in ("stop", "emergency") or age > LATE:  # an old message tells nothing of now
+            return
+        self._source, self._knob = said["source"], said["knob"]
+        self._key.say(said["held"], now - age)
+
+    def _sit(self, connection: object) -> None:
+        """Give it the driver's seat, if that is free."""
+        with self._lock:
+            if self._driver is None:
+                self._driver, self._key = connection, HeldKey()
+
+    def _stand(self, connection: object) -> None:
+        with self._lock:
+            self._pages.discard(connection)
+            if self._driver is connection:
+                self._driver, self._key = None, HeldKey()
+
+    # --- what pages are sent ------------------------------------------------------------
+
+    def _write(self, connection: Any, link: _Link) -> None:
+        closed = importlib.import_module("websockets.exceptions").ConnectionClosed
+        with contextlib.suppress(closed, OSError):
+            connection.send(json.dumps({"hello": self._hello}))
+            number, drawn = -1, None
+            while connection in self._pages:
+                begin = time.monotonic()
+                if self._view is not None and link.shown >= link.sent:  # it has drawn what it was sent
+                    state, points, picture = self._view()
+                    sent = link.sent + 1
+                    seat = "mine" if self._driver is connection else "free" if self._driver is None else "taken"
+                    state |= {"number": sent, "seat": seat, "knob": self._rest, "pages": len(self._pages)}
+                    state["slow_ms"] = round(1e3 * link.age) if LATE < link.age < math.inf else None
+                    if points is not None and points is not drawn:
+                        drawn = points
+                        connection.send(struct.pack("<II", POINTS, sent) + points.astype("<f4").tobytes())
+                    if picture is not None and picture[0] != number:
+                        number = picture[0]
+                        connection.send(struct.pack("<II", PICTURE, sent) + self._jpeg(*picture))
+                    link.sends(time.monotonic())
+                    connection.send(json.dumps(state, allow_nan=False))
+                time.sleep(max(0.002, begin + OFTEN - time.monotonic()))
+
+    def _jpeg(self, number: int, picture: NDArray[np.uint8]) -> bytes:
+        """Return a picture as a JPEG, made once for all pages."""
+        with self._lock:
+            if self._encoded[0] != number:
+                cv2 = importlib.import_module("cv2")
+                made, data = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, JPEG])
+                self._encoded = (number, data.tobytes() if made else b"")
+            return self._encoded[1]
+
+
+class _Link:
+    """How old a page's words may be at most: a state's number comes back after it was sent, whatever the delay.
+
+    The page's clock is ahead of ours by no more than its time at the first word with a number, less when that state was
+    sent. So a word that is always 3 s late is known to be old, which no difference between words shows.
+    """
+
+    def __init__(self) -> None:
+        self.sent, self.shown = 0, 0  # numbers of states
+        self.age = math.inf  # s of the last word, at most
+        self._when = 0.0
+        self._behind: deque[float] = deque(maxlen=REMEMBERED)  # s, our clock against the page's, at least
+
+    def sends(self, now: float) -> None:
+        """Note that the next state goes off; it is the only one on its way."""
+        self._when = now
+        self.sent += 1
+
+    def heard(self, shown: int, t: float, now: float) -> bool:
+        """Note a word said at `t` s of the page's clock; False if it names a state that it was not sent."""
+        if shown > self.sent:
+            return False
+        if shown > self.shown:
+            self._behind.append(self._when - t)
+            self.shown = shown
+        self.age = max(0.0, now - t - max(self._behind, default=-math.inf))
+        return True
+
+
+def _door(connection: Any, opening: threading.BoundedSemaphore) -> Any:
+    """Return what websockets makes connections by: those that have brought no token yet are counted, and few."""
+
+    class Door(connection):  # type: ignore[misc]
+        def handshake(self, *how: Any, **named: Any) -> None:
+            try:
+                super().handshake(*how, **named)
+            finally:
+                opening.release()
+
+    def made(*how: Any, **named: Any) -> Any:
+        if not opening.acquire(blocking=False):
+            raise ConnectionRefusedError("too many connections are being opened")  # websockets closes the socket
+        try:
+            return Door(*how, **named)
+        except BaseException:
+            opening.release()
+            raise
+
+    return made
+
+
+def _ours(host: str, port: int) -> bool:
+    """Whether a Host header names this server by an address or as localhost: nobody can bend those."""
+    name, _, said = host.rpartition(":")
+    if said != str(port):
+        return False
+    if name == "localhost":
+        return True
+    try:
+        ipaddress.ip_address(name[1:-1] if name.startswith("[") and name.endswith("]") else name)
+    except ValueError:
+        return False
+    return True
+
+
+def _answer(connection: Any, status: int, body: bytes, kind: str = "text/plain", host: str = "") -> Any:
+    response = connection.respond(status, "")
+    response.body = body
+    for name in ("Content-Type", "Content-Length"):
+        del response.headers[name]
+    response.headers["Content-Type"], response.headers["Content-Length"] = kind, str(len(body))
+    connect = f"'self' ws://{host}" if host else "'self'"
+    response.headers["Content-Security-Policy"] = (
+        f"default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob: data:; connect-src {connect}; "
+        "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+    )
+    for name, value in HEADERS.items():
+        response.headers[name] = value
+    return response
+
+
+def _read(message: str | bytes) -> dict[str, Any] | None:
+    """Return a page's message if it is one: `{t, held, source, knob, shown, do?}`."""
+    try:
+        if not isinstance(message, str):
+            return None
+        said = json.loads(message, parse_constant=lambda name: math.nan)
+        knob, t = said["knob"], said["t"]
+        numbers = [t, *knob]
+        if len(knob) != 2 or not all(type(x) in (int, float) and math.isfinite(x) for x in numbers):
+            return None
+        if abs(t) > 1e12 or type(said["held"]) is not bool or said["source"] not in ("hand", "knob"):
+            return None
+        if type(said["shown"]) is not int or not 0 <= said["shown"] < 1 << 53:
+            return None
+        if said.get("do") not in (None, "take", "stop", "emergency", "acknowledge"):
+            return None
+        x, y = (min(max(float(at), -1.0), 1.0) for at in knob)
+        known: dict[str, Any] = said
+        return known | {"knob": (x, y), "t": float(t)}
+    except (ValueError, KeyError, TypeError, RecursionError, OverflowError):
+        return None

@@ -1,0 +1,62 @@
+"""The other computer's side of `--camera udp://`: sends the landmarks that it sees, and whether its key is held.
+
+Pinned by tests/test_teleop_verb.py.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from softmap_edge.robot.teleop.hand_source import SEEN, Eyes
+from softmap_edge.robot.teleop.keys import Input
+from softmap_edge.robot.teleop.landmarks import Message, Sender
+
+UNHEARD = "nobody answers there yet: `softmap teleop --camera udp://:PORT` must run there, with the same key"
+EVERY = 0.05  # s between two messages, at least while no picture comes: the key's heartbeat
+
+
+@dataclass
+class Sent:
+    """How many messages were sent, and why it ended."""
+
+    sent: int = 0
+    ended: str = ""
+    failed: bool = False
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return it as the document's entries."""
+        return asdict(self)
+
+
+def send(eyes: Eyes, sender: Sender, key: Input | None, seconds: float | None, say: Callable[[str], None]) -> Sent:
+    """Send what entered `eyes` see until they, some seconds or the `key` end it; without a key none is held here."""
+    done, number, begun, line = Sent(), -1, time.monotonic(), ""
+    try:
+        while not done.ended:
+            eyes.wait(number, EVERY)
+            now = time.monotonic()
+            sight = eyes.newest()
+            number = -1 if sight is None else sight.number
+            held = key is not None and key.controls(now).held
+            hand = sight.hand if sight is not None and now - sight.t <= SEEN else None
+            done.sent += sender.send(Message(hand, held))
+            said = ("sending" if sender.heard else UNHEARD) + ("" if hand else "; no hand is seen")
+            if said != line:
+                line = said
+                say(said)
+            if eyes.gone:
+                done.ended, done.failed = eyes.gone, True
+            elif eyes.over:
+                done.ended = f"{eyes.name}: has ended"
+            elif seconds is not None and now - begun >= seconds:
+                done.ended = f"after {seconds:g} s, as asked"
+            elif key is not None and key.asked() == "end":
+                done.ended = "ended at the terminal"
+    except KeyboardInterrupt:
+        done.ended = "interrupted"
+    for _ in range(3):  # let go, in so many words
+        sender.send(Message())
+    return done

@@ -1,0 +1,110 @@
+"""What teleoperation needs of this computer, and how to mend what is missing.
+
+mediapipe asks for opencv-contrib-python, this package for opencv-python-headless, and both own the folder `cv2/`: pip
+installs the one over the other, and uninstalling either deletes it. Nothing here imports either of them. What is absent
+is a warning, for a robot may be driven without a hand before its own camera; what clashes or is damaged is a fault.
+Pinned by tests/test_teleop_installed.py.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import platform
+from collections.abc import Iterable
+from dataclasses import replace
+from importlib.metadata import Distribution, distributions
+from pathlib import Path
+
+from softmap_edge.errors import TeleopError
+from softmap_edge.robot.finding import FAULT, OK, WARNING, Line, faulty
+from softmap_edge.robot.teleop.model_file import check_model, default_path
+
+INSTALL = "uv pip install --override <(echo \"opencv-contrib-python; sys_platform == 'never'\") 'softmap-edge[teleop]'"
+LIBRARIES = ("libEGL.so.1", "libGLESv2.so.2")  # mediapipe's library is linked with them, and so never loads without
+UDP = "send landmarks from another computer instead (docs/teleop.md, --camera udp://)"
+LAST_SILENT = (0, 10, 21)  # the last mediapipe without telemetry: its issue 6291 on GitHub, and 0.10.18 measured
+CPU = Path("/proc/cpuinfo")
+
+
+def findings(model: str | Path | None = None) -> list[Line]:
+    """Return what was found of OpenCV, mediapipe, its libraries, this processor and the model of hands."""
+    here = list(distributions())
+    return [opencv(here), mediapipe(here), libraries(), processor(), hand_model(model)]
+
+
+def opencv(installed: Iterable[Distribution]) -> Line:
+    """Find the distributions that own `cv2/`; exactly one may, and its files must be there."""
+    owners: dict[str, Distribution] = {}
+    for distribution in installed:
+        name = distribution.metadata["Name"] or ""
+        files = (str(file) for file in distribution.files or [] if name.lower().startswith("opencv"))
+        if any(file.startswith("cv2/") for file in files):
+            owners.setdefault(name, distribution)
+    said = " and ".join(f"{name} {found.version}" for name, found in sorted(owners.items()))
+    if not owners:
+        return Line("opencv", WARNING, "not installed", f"run {INSTALL}")
+    if len(owners) > 1:
+        removed = " ".join(sorted(owners))
+        mend = f"run uv pip uninstall {removed}, then {INSTALL}"
+        return Line("opencv", FAULT, f"{said} are installed into one folder cv2/", mend)
+    file = next(iter(owners.values())).locate_file("cv2/__init__.py")
+    if not Path(str(file)).is_file():
+        mend = f"run uv pip uninstall {next(iter(owners))}, then {INSTALL}"
+        return Line("opencv", FAULT, f"{said} lost its folder cv2/ when another OpenCV was removed", mend)
+    return Line("opencv", OK, said)
+
+
+def mediapipe(installed: Iterable[Distribution]) -> Line:
+    """Find mediapipe."""
+    found = next((d for d in installed if (d.metadata["Name"] or "").lower() == "mediapipe"), None)
+    if found is None:
+        return Line("mediapipe", WARNING, "not installed", f"run {INSTALL}, or {UDP}")
+    if _numbers(found.version) <= LAST_SILENT:
+        return Line("mediapipe", OK, found.version)
+    said = f"{found.version}, which tells its maker that it is used when there is a network (docs/teleop.md)"
+    return Line("mediapipe", OK, said)
+
+
+def _numbers(version: str) -> tuple[int, ...]:
+    return tuple(int(part) if part.isdigit() else 0 for part in version.split("."))
+
+
+def libraries(names: Iterable[str] = LIBRARIES) -> Line:
+    """Try to load what mediapipe's own library is linked with."""
+    absent = []
+    for name in names:
+        try:
+            ctypes.CDLL(name)
+        except OSError:
+            absent.append(name)
+    if absent:
+        mend = "run sudo apt install libegl1 libgles2"
+        return Line("graphics libraries", WARNING, f"{', '.join(absent)} cannot be loaded", mend)
+    return Line("graphics libraries", OK, ", ".join(names))
+
+
+def processor(machine: str | None = None, cpu: Path = CPU) -> Line:
+    """Find whether this processor has what mediapipe 1.0 and later were compiled for: on ARM the LSE atomics."""
+    machine = platform.machine() if machine is None else machine
+    if machine not in ("aarch64", "arm64"):
+        return Line("processor", OK, machine)
+    try:
+        text = cpu.read_text(encoding="ascii", errors="replace")
+    except OSError:
+        return Line("processor", OK, f"{machine}, {cpu} cannot be read")
+    # Every core must have them: boards mix cores.
+    lines = [line.split(":", 1)[-1].split() for line in text.splitlines() if line.startswith("Features")]
+    if lines and not all("atomics" in line for line in lines):
+        mend = f"install mediapipe==0.10.18, or {UDP}"
+        return Line("processor", WARNING, f"{machine} without LSE atomics: mediapipe 1.0 and later abort here", mend)
+    return Line("processor", OK, f"{machine} with LSE atomics" if lines else f"{machine}, features not told")
+
+
+def hand_model(path: str | Path | None = None) -> Line:
+    """Find the model of hands."""
+    file = default_path() if path is None else Path(path)
+    try:
+        return Line("hand model", OK, str(check_model(file)))
+    except TeleopError as fault:
+        line = faulty("hand model", fault, "fetch it again: softmap teleop --fetch-model FROM")
+        return line if file.exists() else replace(line, state=WARNING)
