@@ -24,11 +24,11 @@ from benches.peer_newton import NumpySolid
 from benches.peer_rollout import EFFECTS, backlash_and_creep, numbers
 from benches.row import ratio, side_by_side
 from softmap_edge import _core
+from softmap_edge.fem.finger import Finger
+from softmap_edge.fem.simulator import Simulator
 from softmap_edge.model.bundle import builtin_model
 from softmap_edge.rod.robot import Robot
 from softmap_edge.run.run import Run
-from softmap_edge.solid.finger import Finger
-from softmap_edge.solid.simulator import Simulator
 from softmap_edge.version import __version__
 
 

@@ -28,9 +28,9 @@ from scipy.optimize import least_squares
 
 from benches.data import ROOT, find_or_say
 from softmap_edge import Diagnosis, Finger, Run, Simulator, build_model, diagnose, import_logs, read_mapping
+from softmap_edge.fem.fit import FingerFit, fit_finger
 from softmap_edge.geometry.rigid import kabsch, rotation_vector
 from softmap_edge.geometry.sections import attach
-from softmap_edge.solid.fit import FingerFit, fit_finger
 
 Floats = NDArray[np.float64]
 

@@ -51,7 +51,7 @@ print(json.dumps({
 def rows(profile: bool = False) -> Iterator[dict[str, object]]:
     """Yield one row of the bench for each diagnosis."""
     from softmap_edge.run.protocol import standard_protocol
-    from softmap_edge.truth import hide
+    from softmap_edge.synthetic.finger import hide
 
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)

@@ -48,7 +48,7 @@ from benches.bank.shop import unknown_family
 from softmap_edge import Diagnosis, Run, _core, builtin_model, diagnose
 from softmap_edge.diagnosis.families import families
 from softmap_edge.run.protocol import standard_protocol
-from softmap_edge.truth import Camera
+from softmap_edge.synthetic.finger import Camera
 
 Floats = NDArray[np.float64]
 

@@ -21,11 +21,11 @@ import numpy as np
 
 from benches.row import ratio, side_by_side
 from softmap_edge import _core
+from softmap_edge.alignment.register import PAPER_ROUNDS, PAPER_STRENGTH, register
+from softmap_edge.fem.finger import Finger
+from softmap_edge.fem.simulator import Simulator
 from softmap_edge.model.bundle import builtin_model
-from softmap_edge.registration.register import PAPER_ROUNDS, PAPER_STRENGTH, register
-from softmap_edge.solid.finger import Finger
-from softmap_edge.solid.simulator import Simulator
-from softmap_edge.truth_clouds import HALF
+from softmap_edge.synthetic.depth_camera import HALF
 
 THREADS = ("RAYON_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 CLOCK = time.process_time

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from benches.data import ROOT, find_or_say
 from softmap_edge import Finger, Simulator
-from softmap_edge.solid.build import refined
-from softmap_edge.solid.simulator import Template
+from softmap_edge.fem.build import refined
+from softmap_edge.fem.simulator import Template
 
 Floats = NDArray[np.float64]
 

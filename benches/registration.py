@@ -11,11 +11,11 @@ from dataclasses import replace
 import numpy as np
 
 from benches.geometry import SHAPES, truths
+from softmap_edge.alignment.register import register
+from softmap_edge.fem.build import handles_of
+from softmap_edge.fem.finger import Finger
 from softmap_edge.model.bundle import builtin_model
-from softmap_edge.registration.register import register
-from softmap_edge.solid.build import handles_of
-from softmap_edge.solid.finger import Finger
-from softmap_edge.truth_clouds import FULL, HALF, HARD, TWO
+from softmap_edge.synthetic.depth_camera import FULL, HALF, HARD, TWO
 
 HANDLES = 137
 CAMERAS = {"full": FULL, "two": TWO, "half": HALF, "hard": HARD}

@@ -19,11 +19,11 @@ sys.path.insert(0, str(Path(__file__).parents[1]))  # benches/ stands beside doc
 from benches.data import find
 from benches.moe import load
 from softmap_edge import builtin_model, diagnose, series
+from softmap_edge.fem.finger import Finger
+from softmap_edge.fem.simulator import Simulator
 from softmap_edge.report.figures import AFTER, BEFORE, FAINT, INK, STYLE, WIDE, body, ladder_bars, over_time, svg
 from softmap_edge.run.protocol import Protocol, other_protocol, standard_protocol
-from softmap_edge.solid.finger import Finger
-from softmap_edge.solid.simulator import Simulator
-from softmap_edge.truth import hide
+from softmap_edge.synthetic.finger import hide
 
 SEED = 1  # of the second finger; any other tells the same story with other numbers
 

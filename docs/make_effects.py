@@ -19,10 +19,10 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from softmap_edge import Run, _core, builtin_model
+from softmap_edge.fem.finger import Finger
+from softmap_edge.fem.simulator import Simulator
 from softmap_edge.model.chain_labels import named
 from softmap_edge.report.figures import AFTER, BEFORE, FAINT, STYLE
-from softmap_edge.solid.finger import Finger
-from softmap_edge.solid.simulator import Simulator
 
 Floats = NDArray[np.float64]
 

@@ -5,7 +5,7 @@
 //! Sobolev spaces", 1977, doi:10.1007/BFb0086566). r keeps the kinks that tendons make when they go slack, r³ is C². When
 //! the weights annihilate linear functions, as those of a fit do, the family grows linearly far out; nothing is clamped.
 //! Units: commands in, whatever was fitted out. The fit, its smoothing and its held-out error are
-//! `softmap_edge/elsewhere/scattered.py`. Cost: nodes × (channels + modes) a command. Pinned by the tests at the foot.
+//! `softmap_edge/sweep/scattered.py`. Cost: nodes × (channels + modes) a command. Pinned by the tests at the foot.
 
 use crate::error::{Result, invalid};
 use crate::modes::{Modes, accumulate};

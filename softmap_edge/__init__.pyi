@@ -1,16 +1,20 @@
 """The public names of the package and where they are defined; `__init__.py` imports each on first use."""
 
 from softmap_edge._core import effects as effects
-from softmap_edge.adaptation import adapt as adapt
-from softmap_edge.diagnosis.comparison import Comparison as Comparison
-from softmap_edge.diagnosis.comparison import compare as compare
+from softmap_edge.adaptation.adapt import adapt as adapt
+from softmap_edge.adaptation.residual import learn_residual as learn_residual
+from softmap_edge.comparison.comparison import Comparison as Comparison
+from softmap_edge.comparison.comparison import compare as compare
+from softmap_edge.comparison.series import series as series
 from softmap_edge.diagnosis.diagnose import diagnose as diagnose
 from softmap_edge.diagnosis.diagnose import refit as refit
 from softmap_edge.diagnosis.document import Diagnosis as Diagnosis
-from softmap_edge.diagnosis.series import series as series
 from softmap_edge.errors import SoftmapError as SoftmapError
 from softmap_edge.experiment.choose import Experiment as Experiment
 from softmap_edge.experiment.choose import next_experiment as next_experiment
+from softmap_edge.fem.build import build_model as build_model
+from softmap_edge.fem.finger import Finger as Finger
+from softmap_edge.fem.simulator import Simulator as Simulator
 from softmap_edge.logs.guess import guess_mapping as guess_mapping
 from softmap_edge.logs.importer import import_logs as import_logs
 from softmap_edge.logs.mapping import read_mapping as read_mapping
@@ -21,13 +25,9 @@ from softmap_edge.model.model import Model as Model
 from softmap_edge.model.user_effect import forget_effect as forget_effect
 from softmap_edge.model.user_effect import load_effect as load_effect
 from softmap_edge.report.html import write_html as write_html
-from softmap_edge.residual import learn_residual as learn_residual
 from softmap_edge.robot.open import open_robot as open_robot
 from softmap_edge.rod.learn import learn_model as learn_model
 from softmap_edge.rod.robot import Robot as Robot
 from softmap_edge.run.join import join_runs as join_runs
 from softmap_edge.run.run import Run as Run
-from softmap_edge.solid.build import build_model as build_model
-from softmap_edge.solid.finger import Finger as Finger
-from softmap_edge.solid.simulator import Simulator as Simulator
 from softmap_edge.version import __version__ as __version__

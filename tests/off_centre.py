@@ -2,10 +2,10 @@
 
 from functools import lru_cache
 
-from softmap_edge.diagnosis.comparison import compare
+from softmap_edge.comparison.comparison import compare
 from softmap_edge.model.bundle import builtin_model
 from softmap_edge.run.protocol import other_protocol, standard_protocol
-from softmap_edge.truth import hide
+from softmap_edge.synthetic.finger import hide
 
 
 @lru_cache(maxsize=1)

@@ -18,7 +18,7 @@ from tick_runs import HOME, record, scattered
 from softmap_edge import Run, builtin_model, learn_model, save_bundle
 from softmap_edge.cli import main
 from softmap_edge.run.cut import cut
-from softmap_edge.truth_clouds import FULL
+from softmap_edge.synthetic.depth_camera import FULL
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ import numpy as np
 from softmap_edge.robot.emulated.laws import LAWS
 from softmap_edge.run.protocol import standard_protocol
 from softmap_edge.run.run import Run
-from softmap_edge.truth import Camera
+from softmap_edge.synthetic.finger import Camera
 
 LENGTH, RADIUS, LEVER = 100.0, 9.0, 6.5  # mm: body, its surface, its tendons
 HANGING = np.array([0.0, 0.0, 1.0])

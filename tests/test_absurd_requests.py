@@ -10,12 +10,12 @@ import pytest
 from softmap_edge import _core
 from softmap_edge.cli import main
 from softmap_edge.errors import BundleError, FingerError, SoftmapError
+from softmap_edge.fem.finger import Finger
+from softmap_edge.fem.simulator import Simulator
 from softmap_edge.files.atomic import write_whole
 from softmap_edge.files.npz import read_npz, write_npz
 from softmap_edge.model.bundle import builtin_model, load_bundle, save_bundle
 from softmap_edge.run.run import Run
-from softmap_edge.solid.finger import Finger
-from softmap_edge.solid.simulator import Simulator
 
 LONG_AXIS = np.arange(2.0**21)
 AT_ONCE = 5.0  # s on a busy machine; the work itself would take hours or all the memory

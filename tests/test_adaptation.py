@@ -7,15 +7,15 @@ import numpy as np
 import pytest
 
 from softmap_edge import adapt, builtin_model, learn_residual, load_bundle
-from softmap_edge.adaptation import WAYS
+from softmap_edge.adaptation.adapt import WAYS
 from softmap_edge.cli import main
 from softmap_edge.errors import SoftmapError
-from softmap_edge.protocol_virtual import virtual_protocol
 from softmap_edge.run.protocol import Limits, standard_protocol
 from softmap_edge.run.run import Run
-from softmap_edge.truth import hide
-from softmap_edge.truth_clouds import TWO
-from softmap_edge.truth_virtual import virtual_finger
+from softmap_edge.synthetic.depth_camera import TWO
+from softmap_edge.synthetic.finger import hide
+from softmap_edge.synthetic.virtual_finger import virtual_finger
+from softmap_edge.synthetic.virtual_protocol import virtual_protocol
 
 MODEL = builtin_model()
 CAMERAS = replace(TWO, points=2000, hole_mm=8.0)

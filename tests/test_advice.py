@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 from softmap_edge import Run, builtin_model, effects, save_bundle
+from softmap_edge.checks.advice import advice, asked
+from softmap_edge.checks.summary import sentences, summary
 from softmap_edge.cli import main
-from softmap_edge.diagnosis.advice import advice, asked
 from softmap_edge.files.numbers import WIDTH
 from softmap_edge.model.servo_calibration import ERRORS, Calibration
 from softmap_edge.run.protocol import Limits, standard_protocol
 from softmap_edge.run.run import OURS
-from softmap_edge.run_summary import sentences, summary
 
 SIDEWAYS = (0.6, 0.0, 0.8)
 

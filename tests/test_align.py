@@ -159,7 +159,7 @@ def test_a_marker_that_was_glued_elsewhere_is_left_aside():
 
 def film():
     """A vertex run of the standard protocol with camera jitter, in the base frame and in the camera's."""
-    from softmap_edge.truth import Camera
+    from softmap_edge.synthetic.finger import Camera
 
     model, p = builtin_model(), standard_protocol()
     record = {"t": p.t, "command": p.command, "gravity": p.gravity, "t_seen": p.t_seen, "robot": builtin_model().robot}
@@ -214,7 +214,7 @@ def test_another_run_takes_the_frame_of_an_aligned_one(filmed, tmp_path, capsys)
 
 @pytest.mark.prove
 def test_a_second_finger_of_other_silicone_is_aligned_within_what_is_said():
-    from softmap_edge.truth import hide
+    from softmap_edge.synthetic.finger import hide
 
     run = hide([], 4).measure(standard_protocol())
     camera = Run(

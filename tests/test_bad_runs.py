@@ -14,7 +14,7 @@ from test_diagnosis import finger_run
 
 from softmap_edge import builtin_model, diagnose
 from softmap_edge.cli import main
-from softmap_edge.diagnosis.sound import sound
+from softmap_edge.diagnosis.clean import sound
 from softmap_edge.errors import SoftmapError
 from softmap_edge.experiment.blocks import chosen, plan
 from softmap_edge.files.npz import write_npz

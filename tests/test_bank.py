@@ -120,7 +120,7 @@ def test_the_bank_never_calls_the_effect_library():
             "left_out.py",
         ):  # diagnose, or pass the model or its odds on
             modules = {n.module for n in ast.walk(tree) if isinstance(n, ast.ImportFrom) and n.module}
-            modules -= {"softmap_edge.truth_clouds"}  # cameras
+            modules -= {"softmap_edge.synthetic.depth_camera"}  # cameras
             assert not any("diagnosis" in m or "_core" in m or "truth" in m for m in modules), path.name
 
 

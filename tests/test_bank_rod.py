@@ -8,8 +8,8 @@ import pytest
 from benches.bank.rod import Loads, assembled, energy_of, settle, straight
 from benches.bank.rotations import turn
 from benches.bank.section import GRAVITY, finger, uniform
-from softmap_edge.solid.finger import Finger
-from softmap_edge.solid.simulator import Simulator
+from softmap_edge.fem.finger import Finger
+from softmap_edge.fem.simulator import Simulator
 
 HANGING = np.array([0.0, 0.0, 1.0])
 

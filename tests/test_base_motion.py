@@ -7,7 +7,7 @@ import pytest
 from test_learned_memory import recorded
 
 from softmap_edge import Run, diagnose, load_bundle, save_bundle
-from softmap_edge.diagnosis.base_motion import FRAME, PLACES, base_motion, base_of, excluded
+from softmap_edge.alignment.base_motion import FRAME, PLACES, base_motion, base_of, excluded
 from softmap_edge.diagnosis.record import Record
 from softmap_edge.rod.learn import learn, learned_model
 

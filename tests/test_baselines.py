@@ -14,7 +14,7 @@ from softmap_training.evaluate import told_these
 from softmap_training.prior import Surface, fit_prior, train_prior, vertex_error, with_prior
 
 from softmap_edge import Run, builtin_model, load_bundle, save_bundle
-from softmap_edge.solid.simulator import tensor_grid
+from softmap_edge.fem.simulator import tensor_grid
 
 BASE = builtin_model()
 LOW, HIGH = BASE.command_range.T

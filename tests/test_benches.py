@@ -9,9 +9,9 @@ from benches.peer_elastic import markers
 from benches.peer_newton import NumpySolid
 from benches.peer_rollout import EFFECTS, backlash_and_creep, numbers
 from softmap_edge import _core
+from softmap_edge.fem.finger import Finger
+from softmap_edge.fem.simulator import Simulator
 from softmap_edge.model.bundle import builtin_model
-from softmap_edge.solid.finger import Finger
-from softmap_edge.solid.simulator import Simulator
 
 
 def test_the_numpy_solid_takes_the_same_newton_step():

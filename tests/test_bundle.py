@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from softmap_edge.errors import BundleError, SoftmapError
+from softmap_edge.fem.build import build_model
+from softmap_edge.fem.finger import Finger
+from softmap_edge.fem.simulator import Simulator
 from softmap_edge.model.bundle import builtin_model, load_bundle, save_bundle
 from softmap_edge.run.run import Run
-from softmap_edge.solid.build import build_model
-from softmap_edge.solid.finger import Finger
-from softmap_edge.solid.simulator import Simulator
 
 
 @pytest.fixture(scope="module")

@@ -9,7 +9,7 @@ from rigs import BAUD, HOME, MODEL, angles, bench, torque
 from typist import typist
 
 from softmap_edge.cli import main
-from softmap_edge.commands import servo_calibrate
+from softmap_edge.commands.servo import calibrate as servo_calibrate
 from softmap_edge.errors import CalibrationError
 from softmap_edge.model.bundle import builtin_model, load_bundle
 from softmap_edge.robot.commissioning.first_calibration import CALIPER, COUPLING, bench_calibration, bends, radius

@@ -8,13 +8,13 @@ import pytest
 from tick_runs import HOME, MODEL, A, B, record, scattered
 
 from softmap_edge import builtin_model, load_bundle
-from softmap_edge.alignment.calibration import calibrate
-from softmap_edge.alignment.matching import match
+from softmap_edge.calibration.calibration import calibrate
+from softmap_edge.calibration.matching import match
 from softmap_edge.cli import main
 from softmap_edge.errors import CalibrationError
 from softmap_edge.geometry.rigid import rotation
 from softmap_edge.run.run import ROLL_SEEN, Run
-from softmap_edge.truth_clouds import FULL
+from softmap_edge.synthetic.depth_camera import FULL
 
 
 @pytest.fixture(scope="module")

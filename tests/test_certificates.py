@@ -18,8 +18,8 @@ from softmap_edge.diagnosis.outcome import Outcome
 from softmap_edge.diagnosis.prepare import problem_of
 from softmap_edge.diagnosis.record import Record
 from softmap_edge.diagnosis.records import Records
+from softmap_edge.diagnosis.text import diagnosis_text
 from softmap_edge.noise.noise_model import command_kernel
-from softmap_edge.report.text import diagnosis_text
 from softmap_edge.run.folds import FOLDS, GAP, LABELS_A_FOLD, LEAST_WITHHOLDING, Withheld, run_folds, withheld
 
 NAMES = ["offset", "gain", "latency", "backlash", "creep", "payload", "mount"]

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from softmap_edge import builtin_model
+from softmap_edge.alignment.clouds import clouds_of, read_clouds
 from softmap_edge.cli import main
 from softmap_edge.errors import RegistrationError, RunError
-from softmap_edge.registration.clouds import clouds_of, read_clouds
 from softmap_edge.run.run import Run
 
 POINTS = np.random.default_rng(0).uniform(-60.0, 60.0, (200, 3))

@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from softmap_edge.alignment.register import register
 from softmap_edge.diagnosis.diagnose import diagnose
 from softmap_edge.model.bundle import builtin_model
-from softmap_edge.registration.register import register
 from softmap_edge.run.protocol import standard_protocol
 from softmap_edge.run.run import ROLL_SEEN, Run
-from softmap_edge.truth import hide
-from softmap_edge.truth_clouds import TWO
+from softmap_edge.synthetic.depth_camera import TWO
+from softmap_edge.synthetic.finger import hide
 
 MODEL = builtin_model()
 THIN = 2  # every second frame of the standard protocol

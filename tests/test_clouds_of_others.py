@@ -11,10 +11,10 @@ import pytest
 from remedy_cases import write_clouds
 
 from softmap_edge import builtin_model
+from softmap_edge.alignment.cloud_files.pcd import unpack_lzf
+from softmap_edge.alignment.clouds import clouds_of, read_clouds
 from softmap_edge.cli import main
 from softmap_edge.errors import RegistrationError
-from softmap_edge.registration.clouds import clouds_of, read_clouds
-from softmap_edge.registration.pcd import unpack_lzf
 from softmap_edge.run.run import Run
 
 CASES = Path(__file__).parent / "data/clouds"

@@ -5,14 +5,14 @@ import pytest
 from logs import ROOT
 
 from softmap_edge import Run
-from softmap_edge.diagnosis.advice import asked
-from softmap_edge.diagnosis.collinear import collinear_conditions, tied_channels
+from softmap_edge.checks.advice import asked
+from softmap_edge.checks.collinear import collinear_conditions, tied_channels
+from softmap_edge.checks.summary import sentences, summary
 from softmap_edge.diagnosis.diagnose import diagnose
 from softmap_edge.logs.guess import guess_mapping
 from softmap_edge.logs.importer import import_logs, read_mapping
 from softmap_edge.rod.learn import learn, learned_model
 from softmap_edge.run.protocol import standard_protocol
-from softmap_edge.run_summary import sentences, summary
 
 P = standard_protocol()
 SPAN = P.t[-1]

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from softmap_edge import builtin_model, diagnose
-from softmap_edge.diagnosis.comparison import Comparison, compare
-from softmap_edge.diagnosis.series import series
+from softmap_edge.comparison.comparison import Comparison, compare
+from softmap_edge.comparison.series import series
 from softmap_edge.errors import ComparisonError, RunError
 from softmap_edge.model.training_range import elsewhere
 from softmap_edge.noise.floor import noise_floor

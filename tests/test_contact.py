@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
+from softmap_edge.fem.finger import Finger
+from softmap_edge.fem.simulator import Simulator
 from softmap_edge.model.bundle import builtin_model
 from softmap_edge.run.run import Run
-from softmap_edge.solid.finger import Finger
-from softmap_edge.solid.simulator import Simulator
 
 AXIS = np.array([1.0, 0.0, 0.0])
 

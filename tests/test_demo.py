@@ -11,7 +11,7 @@ from softmap_edge.robot.emulated.laws import LAWS
 from softmap_edge.robot.emulated.named_laws import NAMED
 from softmap_edge.run.protocol import standard_protocol
 from softmap_edge.run.run import Run
-from softmap_edge.truth import WATCH, hide, surprise
+from softmap_edge.synthetic.finger import WATCH, hide, surprise
 
 
 def test_demo_tells_the_story_and_reveals_at_the_end(tmp_path, capsys):

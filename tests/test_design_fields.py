@@ -8,12 +8,12 @@ import pytest
 from softmap_edge import _core
 from softmap_edge.diagnosis.diagnose import diagnose
 from softmap_edge.errors import FingerError, SoftmapError
+from softmap_edge.fem.finger import Finger
+from softmap_edge.fem.simulator import Simulator
 from softmap_edge.files.npz import unpacked
 from softmap_edge.model.bundle import builtin_model, load_bundle, save_bundle
 from softmap_edge.model.model import Model
 from softmap_edge.run.run import Run
-from softmap_edge.solid.finger import Finger
-from softmap_edge.solid.simulator import Simulator
 
 COMMANDS = np.vstack([np.zeros((1, 2)), np.random.default_rng(3).uniform(-14.0, 14.0, (10, 2))])
 MIDDLES = np.linspace(0.0, 1.0, 7)

@@ -13,13 +13,13 @@ import pytest
 from arm import LIBRARY, Arm, protocol, record_run
 
 from softmap_edge import _core
+from softmap_edge.comparison.comparison import compare
 from softmap_edge.diagnosis import decision
-from softmap_edge.diagnosis.comparison import compare
 from softmap_edge.diagnosis.diagnose import diagnose, refit
 from softmap_edge.diagnosis.document import Diagnosis
+from softmap_edge.diagnosis.text import diagnosis_text
 from softmap_edge.errors import SoftmapError
 from softmap_edge.model.bundle import builtin_model
-from softmap_edge.report.text import diagnosis_text
 from softmap_edge.run.protocol import standard_protocol
 from softmap_edge.run.run import Run
 

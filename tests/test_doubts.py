@@ -8,11 +8,11 @@ import pytest
 
 from softmap_edge.cli import main
 from softmap_edge.errors import FingerError
-from softmap_edge.solid.bodies import Block, Tapered
-from softmap_edge.solid.doubts import doubts, lost_in_tendons
-from softmap_edge.solid.finger import Finger, Region
-from softmap_edge.solid.simulator import Simulator
-from softmap_edge.solid.tendons import Tendon
+from softmap_edge.fem.bodies import Block, Tapered
+from softmap_edge.fem.doubts import doubts, lost_in_tendons
+from softmap_edge.fem.finger import Finger, Region
+from softmap_edge.fem.simulator import Simulator
+from softmap_edge.fem.tendons import Tendon
 
 CASES = Path(__file__).parent / "data/meshes"
 KPA = "look at: young_mpa = 250 is 420 times as much as soft silicones have (0.1 to 0.6 MPa): is it in kPa? "

@@ -12,12 +12,12 @@ from robots import HANGING, Rod, arc, measured, rings
 
 from softmap_edge import Run, build_model, diagnose, load_bundle, save_bundle
 from softmap_edge.cli import main
-from softmap_edge.elsewhere.build import model_from_file
 from softmap_edge.errors import SoftmapError
+from softmap_edge.fem.build import grid_axes
+from softmap_edge.fem.finger import Finger
+from softmap_edge.fem.simulator import Simulator
 from softmap_edge.model.training_range import beyond
-from softmap_edge.solid.build import grid_axes
-from softmap_edge.solid.finger import Finger
-from softmap_edge.solid.simulator import Simulator
+from softmap_edge.sweep.build import model_from_file
 
 PLACE, OFFSET = rings(13, 12)
 LEANING = np.array([np.sin(0.6) * np.cos(0.4), np.sin(0.6) * np.sin(0.4), np.cos(0.6)])

@@ -10,7 +10,7 @@ from robots import arc, measured, rings
 
 from softmap_edge import load_bundle
 from softmap_edge.cli import main
-from softmap_edge.elsewhere.sweep_file import _NUMBERS, _TEXTS
+from softmap_edge.sweep.sweep_file import _NUMBERS, _TEXTS
 
 PAGE = (Path(__file__).parents[1] / "docs/elsewhere.md").read_text(encoding="utf-8")
 BLOCKS = blocks(PAGE)

@@ -16,7 +16,7 @@ from typist import PATIENCE, typist
 
 from softmap_edge import builtin_model, save_bundle
 from softmap_edge.commands.robot import own_map
-from softmap_edge.commands.servo_emulate import streaming
+from softmap_edge.commands.servo.emulate import streaming
 from softmap_edge.experiment.blocks import chosen, plan
 from softmap_edge.robot.control.emergency_key import HELP, PRESSED
 from softmap_edge.robot.control.recording import read_recording

@@ -27,14 +27,14 @@ from softmap_training.recordings import Lesson  # noqa: E402
 from softmap_training.simulated import SimulatedSet  # noqa: E402
 
 from softmap_edge import Run, builtin_model, load_bundle, save_bundle  # noqa: E402
+from softmap_edge.adaptation.residual import learn_residual  # noqa: E402
 from softmap_edge.alignment.result import in_frame  # noqa: E402
 from softmap_edge.cli import main  # noqa: E402
 from softmap_edge.errors import RunError  # noqa: E402
+from softmap_edge.fem.finger import Finger  # noqa: E402
+from softmap_edge.fem.simulator import Simulator  # noqa: E402
 from softmap_edge.geometry.rigid import Pose, rotation  # noqa: E402
-from softmap_edge.residual import learn_residual  # noqa: E402
-from softmap_edge.solid.finger import Finger  # noqa: E402
-from softmap_edge.solid.simulator import Simulator  # noqa: E402
-from softmap_edge.truth_clouds import FULL, TWO  # noqa: E402
+from softmap_edge.synthetic.depth_camera import FULL, TWO  # noqa: E402
 
 torch.set_num_threads(1)
 MODEL = builtin_model()

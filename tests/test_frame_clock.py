@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from softmap_edge import Run, _core
+from softmap_edge.checks.frame_clock import frame_clock
 from softmap_edge.cli import main
-from softmap_edge.diagnosis.frame_clock import frame_clock
 
 SECONDS = 160.0
 

@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from softmap_edge.alignment.register import PAPER_ROUNDS, register
 from softmap_edge.cli import main
 from softmap_edge.errors import FingerError
+from softmap_edge.fem.build import build_model, handles_of
+from softmap_edge.fem.finger import Finger
 from softmap_edge.model.bundle import builtin_model, load_bundle, save_bundle
 from softmap_edge.model.manifest import load_manifest
-from softmap_edge.registration.register import PAPER_ROUNDS, register
-from softmap_edge.solid.build import build_model, handles_of
-from softmap_edge.solid.finger import Finger
 
 FINGER, MODEL = Finger.builtin(), builtin_model()
 

@@ -13,7 +13,7 @@ from softmap_edge.commands.demo import trial
 from softmap_edge.model.bundle import builtin_model
 from softmap_edge.robot.emulated.laws import LAWS
 from softmap_edge.run.protocol import other_protocol
-from softmap_edge.truth import hide
+from softmap_edge.synthetic.finger import hide
 
 SEED = 4  # the seed of `make test`: a batch that is 10 % softer
 PROVE_SEEDS = range(10)

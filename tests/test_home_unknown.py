@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from softmap_edge import Run
+from softmap_edge.checks.summary import sentences, summary
 from softmap_edge.logs.guess import guess_mapping
 from softmap_edge.run.rest_command import rest_command
 from softmap_edge.run.run import HOME_TICKS
-from softmap_edge.run_summary import sentences, summary
 
 T = np.arange(1500) / 25
 REST = (T < 4) | (T > 56)

@@ -11,7 +11,7 @@ from test_learned_memory import arc, wander
 from tick_runs import HOME, MODEL, record, scattered
 
 from softmap_edge import Run, compare, diagnose, learn_model, save_bundle
-from softmap_edge.alignment.calibration import calibrate
+from softmap_edge.calibration.calibration import calibrate
 from softmap_edge.cli import main
 from softmap_edge.errors import RunError
 from softmap_edge.model.servo_calibration import converted

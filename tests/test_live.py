@@ -15,8 +15,8 @@ from waiting import until
 
 from softmap_edge import builtin_model, load_bundle
 from softmap_edge.cli import main
-from softmap_edge.diagnosis.comparison import aligned
-from softmap_edge.diagnosis.live import KEPT, Live
+from softmap_edge.comparison.comparison import aligned
+from softmap_edge.comparison.live import KEPT, Live
 from softmap_edge.errors import ComparisonError, RunError
 from softmap_edge.robot.control.controller import Controller
 from softmap_edge.robot.control.follow import Following

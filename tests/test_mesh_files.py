@@ -14,10 +14,10 @@ from test_solids import SIZE, mesh_finger, sag, tetrahedra
 
 from softmap_edge.cli import main
 from softmap_edge.errors import FingerError
-from softmap_edge.solid.doubts import doubts
-from softmap_edge.solid.finger import Finger, Region
-from softmap_edge.solid.mesh_file import read_mesh
-from softmap_edge.solid.simulator import Simulator
+from softmap_edge.fem.doubts import doubts
+from softmap_edge.fem.finger import Finger, Region
+from softmap_edge.fem.mesh_file import read_mesh
+from softmap_edge.fem.simulator import Simulator
 
 CASES = Path(__file__).parent / "data/meshes"
 NODES, CELLS = tetrahedra((1, 1, 6))

@@ -13,8 +13,8 @@ from page import ROOT, reader, run_commands
 from benches import moe
 from softmap_edge import load_bundle
 from softmap_edge.errors import FingerError
-from softmap_edge.solid.finger import Tendon
-from softmap_edge.solid.simulator import Simulator
+from softmap_edge.fem.finger import Tendon
+from softmap_edge.fem.simulator import Simulator
 
 AGREEMENT = 0.12  # of the motion, RMS over the vertices that are not held
 PAGE = (ROOT / "docs/moe.md").read_text(encoding="utf-8")

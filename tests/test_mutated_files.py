@@ -49,7 +49,7 @@ def clouds_sample(folder):
 
 
 def finger_sample(folder):
-    from softmap_edge.solid import finger
+    from softmap_edge.fem import finger
 
     text = finger._template().replace("#   [template]\n#   handles", "[template]\nhandles")
     (folder / "finger.toml").write_text(text, encoding="utf-8")
@@ -113,8 +113,8 @@ def commands_sample(folder):
 
 
 def sweep_sample(folder):
-    from softmap_edge.solid.finger import Finger
-    from softmap_edge.solid.simulator import Simulator
+    from softmap_edge.fem.finger import Finger
+    from softmap_edge.fem.simulator import Simulator
 
     Simulator(Finger.builtin().replace(core=1, layers=4)).sweep([[0.0, 1.0], [0.0]]).save(folder / "sweep.npz")
     return folder / "sweep.npz"
@@ -144,8 +144,8 @@ def shapes_sample(folder):
 def scattered_bundle_sample(folder):
     from robots import arc, rings
 
-    from softmap_edge.elsewhere.build import model_from_file
     from softmap_edge.model.bundle import save_bundle
+    from softmap_edge.sweep.build import model_from_file
 
     u = np.random.default_rng(0).uniform(-5, 5, (25, 2))
     np.savez(folder / "sweep.npz", command=u, vertices=arc(u, *rings(4, 7)))
@@ -205,8 +205,8 @@ def elastic_sample(folder):
 
 # --- use: load, and what everybody does next -----------------------------------------------
 def use_run(path):
+    from softmap_edge.checks.summary import sentences, summary
     from softmap_edge.run.run import Run
-    from softmap_edge.run_summary import sentences, summary
 
     run = Run.load(path)
     json.dumps(summary(run))
@@ -217,8 +217,8 @@ def use_run(path):
 
 
 def use_finger(path):
-    from softmap_edge.solid.finger import Finger
-    from softmap_edge.solid.simulator import Simulator
+    from softmap_edge.fem.finger import Finger
+    from softmap_edge.fem.simulator import Simulator
 
     finger = Finger.load(path)
     Simulator(finger)
@@ -226,14 +226,14 @@ def use_finger(path):
 
 
 def use_mesh(path):
-    from softmap_edge.solid.bodies import Meshed
+    from softmap_edge.fem.bodies import Meshed
 
     assert len(Meshed(str(path)).cells([]).nodes) > 10
 
 
 def use_guides(path):
-    from softmap_edge.solid.mesh_file import read_guides
-    from softmap_edge.solid.tendons import Tendon
+    from softmap_edge.fem.mesh_file import read_guides
+    from softmap_edge.fem.tendons import Tendon
 
     assert np.isfinite(Tendon(points=read_guides(path)).ends()).all()
 
@@ -280,7 +280,7 @@ def use_commands(path):
 
 
 def use_sweep(path):
-    from softmap_edge.solid.simulator import Sweep
+    from softmap_edge.fem.simulator import Sweep
 
     sweep = Sweep.load(path)
     sweep.save(path.with_name("again.npz"))
@@ -288,8 +288,8 @@ def use_sweep(path):
 
 
 def use_shapes(path):
-    from softmap_edge.elsewhere.build import model_from_file
-    from softmap_edge.elsewhere.summary import read_summary
+    from softmap_edge.sweep.build import model_from_file
+    from softmap_edge.sweep.summary import read_summary
 
     read_summary(path)
     model_from_file(path).prior.evaluate(np.zeros((2, 2)))

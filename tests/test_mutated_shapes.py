@@ -73,7 +73,7 @@ def spoil_head_or_rest(sample, folder, rng):
 
 # --- use -----------------------------------------------------------------------------------
 def use_cloud(path):
-    from softmap_edge.registration.clouds import clouds_of, read_clouds
+    from softmap_edge.alignment.clouds import clouds_of, read_clouds
 
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     notes = []
@@ -83,7 +83,7 @@ def use_cloud(path):
 
 
 def use_run_or_cloud(path):
-    from softmap_edge.registration.clouds import read_clouds
+    from softmap_edge.alignment.clouds import read_clouds
 
     read_clouds([path])
 
@@ -101,7 +101,7 @@ def mesh_sample(write):
 
 
 def use_mesh(path):
-    from softmap_edge.solid.bodies import Meshed
+    from softmap_edge.fem.bodies import Meshed
 
     solid = Meshed(str(path))
     mesh = solid.cells([])

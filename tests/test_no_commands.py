@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from softmap_edge import Run
+from softmap_edge.checks.summary import summary
 from softmap_edge.cli import main
 from softmap_edge.logs.guess import guess_mapping
 from softmap_edge.logs.importer import import_logs
 from softmap_edge.logs.mapping import parse_mapping
-from softmap_edge.run_summary import summary
 
 T = np.arange(120) / 20
 MARKERS = {

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from softmap_edge import Run, diagnose, learn_model
-from softmap_edge.run_summary import sentences, summary
+from softmap_edge.checks.summary import sentences, summary
 
 COUNT = 500
 

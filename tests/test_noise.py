@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from softmap_edge import Run, builtin_model
-from softmap_edge.diagnosis.advice import DWELL_FRAMES
-from softmap_edge.diagnosis.comparison import compare
+from softmap_edge.checks.advice import DWELL_FRAMES
+from softmap_edge.checks.summary import summary
+from softmap_edge.comparison.comparison import compare
 from softmap_edge.diagnosis.prepare import candidates_of, problem_of
 from softmap_edge.diagnosis.record import Record
 from softmap_edge.errors import SoftmapError
@@ -23,8 +24,7 @@ from softmap_edge.noise.noise_model import (
     whitener,
 )
 from softmap_edge.run.protocol import standard_protocol
-from softmap_edge.run_summary import summary
-from softmap_edge.truth import Camera, Truth
+from softmap_edge.synthetic.finger import Camera, Truth
 
 V, F = 6, 18
 

@@ -7,17 +7,17 @@ import pytest
 from logs import ROOT
 from recordings import places, write_motive, write_trc
 
+from softmap_edge.checks.lost_points import lost_points, without_lost
+from softmap_edge.checks.summary import summary
 from softmap_edge.cli import main
-from softmap_edge.diagnosis.comparison import compare
-from softmap_edge.diagnosis.lost import lost_points, without_lost
-from softmap_edge.diagnosis.sound import sound
+from softmap_edge.comparison.comparison import compare
+from softmap_edge.diagnosis.clean import sound
 from softmap_edge.errors import RunError
 from softmap_edge.logs.guess import guess_mapping
 from softmap_edge.logs.importer import import_logs, read_mapping
 from softmap_edge.logs.not_seen import not_seen
 from softmap_edge.rod.learn import learn, learned_model
 from softmap_edge.run.run import Run
-from softmap_edge.run_summary import summary
 
 CASES = ROOT / "tests" / "data" / "values"
 K = 400

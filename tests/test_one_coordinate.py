@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from test_not_seen import BUT_ALSO, GOOD, ROWS, SINES, K, T, body
 
-from softmap_edge.diagnosis.lost import lost_points
+from softmap_edge.checks.lost_points import lost_points
 from softmap_edge.logs.importer import import_logs, read_mapping
 from softmap_edge.logs.not_seen import not_seen
 from softmap_edge.logs.one_coordinate import lost_coordinates

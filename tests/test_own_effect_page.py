@@ -14,7 +14,7 @@ from page import ROOT, blocks, lines
 
 from softmap_edge import builtin_model, diagnose
 from softmap_edge.cli import main
-from softmap_edge.diagnosis.comparison import compare
+from softmap_edge.comparison.comparison import compare
 from softmap_edge.model.user_effect import forget_effect, loaded
 from softmap_edge.robot.emulated.named_laws import OffCentreSpool
 from softmap_edge.run.run import Run

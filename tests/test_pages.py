@@ -11,7 +11,7 @@ import pytest
 
 from softmap_edge import Run, builtin_model, save_bundle
 from softmap_edge.cli import main
-from softmap_edge.report.text import parameter
+from softmap_edge.diagnosis.text import parameter
 from softmap_edge.run.protocol import standard_protocol
 
 LOADING = {"src", "href", "srcset", "data", "action", "poster", "background", "formaction", "xlink:href"}

@@ -16,7 +16,7 @@ from softmap_edge.diagnosis.records import Records
 from softmap_edge.errors import SoftmapError
 from softmap_edge.robot.emulated.laws import LAWS, TipWeight
 from softmap_edge.run.protocol import standard_protocol
-from softmap_edge.truth import Secret, Truth
+from softmap_edge.synthetic.finger import Secret, Truth
 
 MODEL = builtin_model()
 WANTED = ["offset", "gain", "latency", "backlash", "hysteresis", "creep", "gravity", "payload", "mount"]

@@ -5,8 +5,9 @@ import pytest
 from logs import ROOT
 
 from softmap_edge.alignment.align import align_base
+from softmap_edge.checks.summary import summary
 from softmap_edge.cli import main
-from softmap_edge.diagnosis.comparison import compare
+from softmap_edge.comparison.comparison import compare
 from softmap_edge.diagnosis.diagnose import diagnose
 from softmap_edge.errors import AlignError, RunError
 from softmap_edge.logs.guess import guess_mapping
@@ -14,7 +15,6 @@ from softmap_edge.logs.importer import import_logs, read_mapping
 from softmap_edge.rod.learn import learn, learned_model
 from softmap_edge.run.plane import flat, unmeasured
 from softmap_edge.run.run import Run
-from softmap_edge.run_summary import summary
 
 CASE = ROOT / "tests" / "data" / "values" / "plane.csv"
 T = np.arange(600) * 0.05

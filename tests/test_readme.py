@@ -14,10 +14,10 @@ from page import blocks, lines
 
 from softmap_edge import Run, _core, import_logs, load_bundle, read_mapping
 from softmap_edge.cli import main
+from softmap_edge.fem.finger import Finger
+from softmap_edge.fem.simulator import Simulator
 from softmap_edge.robot.emulated.laws import LAWS
 from softmap_edge.run.protocol import Protocol, other_protocol, standard_protocol
-from softmap_edge.solid.finger import Finger
-from softmap_edge.solid.simulator import Simulator
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")

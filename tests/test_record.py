@@ -14,10 +14,10 @@ from softmap_edge import Run, _core, builtin_model, save_bundle
 from softmap_edge.cli import main
 from softmap_edge.experiment.blocks import BLOCKS as MOVES
 from softmap_edge.experiment.blocks import chosen, plan
-from softmap_edge.protocol_virtual import virtual_protocol
 from softmap_edge.robot.drive.command_file import read_commands
 from softmap_edge.robot.emulated.published_map import PUBLISHED
 from softmap_edge.run.protocol import standard_protocol
+from softmap_edge.synthetic.virtual_protocol import virtual_protocol
 
 WEIGHT = {"payload.mass": 9.0}
 PAGE = (Path(__file__).parents[1] / "docs/record.md").read_text(encoding="utf-8")

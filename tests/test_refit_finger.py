@@ -7,10 +7,10 @@ import pytest
 
 from softmap_edge.cli import main
 from softmap_edge.errors import SoftmapError
+from softmap_edge.fem.finger import Finger
+from softmap_edge.fem.fit import fit_finger, moved
+from softmap_edge.fem.simulator import Simulator, tour
 from softmap_edge.run.run import Run
-from softmap_edge.solid.finger import Finger
-from softmap_edge.solid.fit import fit_finger, moved
-from softmap_edge.solid.simulator import Simulator, tour
 
 HANGING, LEANING = [0.0, 0.0, 1.0], [0.7, 0.0, 0.714]
 BOUNDS = (("young_mpa", (0.05, 1.0)), ("cable_stiffness_n_mm", (2.0, 100.0)))

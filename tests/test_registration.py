@@ -9,18 +9,18 @@ from logs import published
 
 from benches import moe
 from softmap_edge import builtin_model
+from softmap_edge.alignment.register import register
 from softmap_edge.cli import main
-from softmap_edge.elsewhere.build import model_from_shapes
-from softmap_edge.elsewhere.sweep_file import ShapeSweep
 from softmap_edge.errors import RegistrationError
-from softmap_edge.registration.register import register
+from softmap_edge.fem.finger import Finger
+from softmap_edge.fem.simulator import Simulator
 from softmap_edge.robot.emulated.laws import rotation
 from softmap_edge.run.run import ROLL_SEEN, Run
-from softmap_edge.solid.finger import Finger
-from softmap_edge.solid.simulator import Simulator
-from softmap_edge.truth import toured
-from softmap_edge.truth_clouds import FULL, HALF, HARD, TWO
-from softmap_edge.truth_virtual import virtual_finger
+from softmap_edge.sweep.build import model_from_shapes
+from softmap_edge.sweep.sweep_file import ShapeSweep
+from softmap_edge.synthetic.depth_camera import FULL, HALF, HARD, TWO
+from softmap_edge.synthetic.finger import toured
+from softmap_edge.synthetic.virtual_finger import virtual_finger
 
 MODEL = builtin_model()
 MEDIAN_MM = {"full": 0.35, "two": 0.45, "half": 0.45, "hard": 0.7}

@@ -13,15 +13,15 @@ from page import blocks, lines
 pytest.importorskip("meshio")
 
 from softmap_edge import Run, builtin_model, load_bundle
-from softmap_edge.alignment.calibration import _calibrated, calibrate
-from softmap_edge.alignment.clouds import align_clouds
+from softmap_edge.alignment.base_in_clouds import align_clouds
+from softmap_edge.alignment.register import register
 from softmap_edge.alignment.result import in_frame
+from softmap_edge.calibration.calibration import _calibrated, calibrate
 from softmap_edge.cli import main
 from softmap_edge.errors import RegistrationError
+from softmap_edge.fem import finger
 from softmap_edge.geometry.rigid import Pose, rotation, rotation_vector
-from softmap_edge.registration.register import register
 from softmap_edge.robot.emulated.published_map import PUBLISHED
-from softmap_edge.solid import finger
 
 PAGE = (Path(__file__).parents[1] / "docs/registration.md").read_text(encoding="utf-8")
 

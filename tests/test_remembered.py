@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from softmap_edge import Run, builtin_model, diagnose
-from softmap_edge.diagnosis.remembered import remembered
-from softmap_edge.diagnosis.sound import sound
+from softmap_edge.checks.remembered import remembered
+from softmap_edge.diagnosis.clean import sound
 from softmap_edge.errors import RunError
 
 MODEL = builtin_model()

@@ -6,14 +6,14 @@ import re
 import pytest
 from test_compare import lean, triangle
 
-from softmap_edge.diagnosis.comparison import compare
+from softmap_edge.comparison.comparison import compare
+from softmap_edge.comparison.text import pair_text
 from softmap_edge.diagnosis.findings import Displacement, ErrorLadder, FamilyFinding, Finding, Rung, Unexplained
+from softmap_edge.diagnosis.text import VERDICTS, diagnosis_text, parameter
 from softmap_edge.diagnosis.wording import OwnMisfit, sentence_of, verdict_of
 from softmap_edge.errors import ReportError
 from softmap_edge.files.numbers import bar, fall, tamed
-from softmap_edge.report.comparison_text import pair_text
 from softmap_edge.report.html import write_html
-from softmap_edge.report.text import VERDICTS, diagnosis_text, parameter
 
 DIAGNOSIS = {
     "schema": "softmap.diagnosis/2",

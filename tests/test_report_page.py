@@ -15,8 +15,8 @@ import pytest
 from test_compare import record
 from test_report import DIAGNOSIS, compared, page
 
-from softmap_edge.diagnosis.comparison import compare
-from softmap_edge.diagnosis.series import series
+from softmap_edge.comparison.comparison import compare
+from softmap_edge.comparison.series import series
 from softmap_edge.errors import ReportError
 from softmap_edge.report.html import write_html
 
@@ -141,7 +141,7 @@ def test_without_matplotlib_text_works_and_html_says_what_to_install(tmp_path):
     code = (
         "import sys; sys.modules['matplotlib'] = None\n"
         "from test_compare import lean, triangle\n"
-        "from softmap_edge.diagnosis.comparison import compare\n"
+        "from softmap_edge.comparison.comparison import compare\n"
         "from softmap_edge.report.html import write_html\n"
         "found = compare(lean(), triangle()); str(found); found.to_dict()\n"
         f"write_html({str(tmp_path / 'p.html')!r}, found)\n"

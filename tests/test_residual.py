@@ -20,7 +20,7 @@ from softmap_edge.errors import BundleError, SoftmapError
 from softmap_edge.experiment.blocks import chosen, plan
 from softmap_edge.rod.robot import Robot
 from softmap_edge.run.protocol import Limits
-from softmap_edge.truth import Secret, Truth
+from softmap_edge.synthetic.finger import Secret, Truth
 
 MODEL = builtin_model()
 PAGE = (Path(__file__).parents[1] / "docs/residual.md").read_text(encoding="utf-8")

@@ -14,13 +14,13 @@ from softmap_training.recordings import Lesson  # noqa: E402
 from softmap_training.residual import train_residual  # noqa: E402
 
 from softmap_edge import Run, builtin_model, diagnose, load_bundle, save_bundle  # noqa: E402
-from softmap_edge.alignment.clouds import align_clouds, base_stood_off, in_base  # noqa: E402
+from softmap_edge.adaptation.residual import learn_residual  # noqa: E402
+from softmap_edge.alignment.base_in_clouds import align_clouds, base_stood_off, in_base  # noqa: E402
+from softmap_edge.alignment.register import clamped, register  # noqa: E402
 from softmap_edge.alignment.result import in_frame  # noqa: E402
 from softmap_edge.cli import main  # noqa: E402
 from softmap_edge.geometry.rigid import Pose, rotation, rotation_vector  # noqa: E402
-from softmap_edge.registration.register import clamped, register  # noqa: E402
-from softmap_edge.residual import learn_residual  # noqa: E402
-from softmap_edge.truth_clouds import TWO  # noqa: E402
+from softmap_edge.synthetic.depth_camera import TWO  # noqa: E402
 
 torch.set_num_threads(1)
 MODEL = builtin_model()

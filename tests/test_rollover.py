@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from softmap_edge import Run
+from softmap_edge.checks.summary import summary
 from softmap_edge.errors import RunError
 from softmap_edge.logs.importer import import_logs
 from softmap_edge.logs.mapping import parse_mapping
 from softmap_edge.run.rollover import roll_over, roll_overs_of
-from softmap_edge.run_summary import summary
 
 T = np.arange(600) / 50
 

@@ -8,15 +8,15 @@ import pytest
 from robots import arc, rings
 
 from softmap_edge.cli import main
-from softmap_edge.elsewhere.build import model_from_file
 from softmap_edge.errors import BundleError
+from softmap_edge.fem.finger import Finger
+from softmap_edge.fem.simulator import Simulator
 from softmap_edge.model.bundle import builtin_model, load_bundle, save_bundle
 from softmap_edge.model.manifest import load_manifest
 from softmap_edge.model.safety import MARGIN, derived
 from softmap_edge.rod.learn import learn_model
 from softmap_edge.run.run import Run
-from softmap_edge.solid.finger import Finger
-from softmap_edge.solid.simulator import Simulator
+from softmap_edge.sweep.build import model_from_file
 
 FINGER = Finger.builtin()
 MODEL = builtin_model()

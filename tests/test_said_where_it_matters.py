@@ -7,8 +7,8 @@ import pytest
 from test_learned_memory import arc, recorded, wander
 
 from softmap_edge import Run, diagnose, learn_model, save_bundle
+from softmap_edge.checks.advice import advice
 from softmap_edge.cli import main
-from softmap_edge.diagnosis.advice import advice
 from softmap_edge.model.coverage import apart
 from softmap_edge.model.training_range import beyond
 from softmap_edge.run.plane import plane_of

@@ -8,8 +8,8 @@ import pytest
 from benches import trunk_load
 from benches.data import find
 from softmap_edge import _core
-from softmap_edge.elsewhere.build import model_from_file
-from softmap_edge.elsewhere.scattered import fit_scattered, gap
+from softmap_edge.sweep.build import model_from_file
+from softmap_edge.sweep.scattered import fit_scattered, gap
 
 RNG = np.random.default_rng
 

@@ -7,12 +7,12 @@ import pytest
 
 from softmap_edge import _core
 from softmap_edge.errors import BundleError, SoftmapError
+from softmap_edge.fem.build import build_model
+from softmap_edge.fem.finger import Finger
+from softmap_edge.fem.simulator import Simulator
 from softmap_edge.model.bundle import builtin_model, load_bundle, save_bundle
 from softmap_edge.model.shapes import second_from
 from softmap_edge.run.run import Run
-from softmap_edge.solid.build import build_model
-from softmap_edge.solid.finger import Finger
-from softmap_edge.solid.simulator import Simulator
 
 NEWTON = 9.80665e-3  # a gram
 COMMANDS = np.vstack([np.zeros((1, 2)), np.random.default_rng(3).uniform(-14.0, 14.0, (4, 2))])

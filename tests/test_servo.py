@@ -8,7 +8,7 @@ from test_diagnosis import finger_run
 
 from softmap_edge import builtin_model, diagnose
 from softmap_edge.diagnosis.document import Diagnosis
-from softmap_edge.diagnosis.servo import servos
+from softmap_edge.diagnosis.servo_lag import servos
 
 STEP = 0.015  # mm: a tick of a spool of 10 mm
 

@@ -16,8 +16,8 @@ from rigs import bench, calibration, torque
 
 from softmap_edge import _core
 from softmap_edge.cli import main
-from softmap_edge.commands import servo_emulate
 from softmap_edge.commands.robot import HOME
+from softmap_edge.commands.servo import emulate as servo_emulate
 from softmap_edge.errors import ServoError
 from softmap_edge.robot.commissioning import setup
 from softmap_edge.robot.control.controller import Controller

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from recordings import POSES, write_mcap
 
-from softmap_edge.diagnosis.lost import lost_points
+from softmap_edge.checks.lost_points import lost_points
 from softmap_edge.logs.importer import import_logs, read_mapping
 from softmap_edge.logs.shifted import find_shifted
 from softmap_edge.run.run import Run

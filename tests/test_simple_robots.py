@@ -14,10 +14,10 @@ from matplotlib.colors import Normalize
 
 from softmap_edge import Run, _core, diagnose, learn_model, load_bundle, save_bundle
 from softmap_edge.cli import main
+from softmap_edge.comparison.series import series
 from softmap_edge.diagnosis import conclusion
 from softmap_edge.diagnosis.diagnose import refit
 from softmap_edge.diagnosis.findings import Alternative
-from softmap_edge.diagnosis.series import series
 from softmap_edge.errors import RunError
 from softmap_edge.experiment.choose import next_experiment
 from softmap_edge.noise import motion_at_rest

@@ -7,9 +7,9 @@ import pytest
 
 from softmap_edge import _core
 from softmap_edge.errors import FingerError, NoEquilibriumError, SimulationError, SoftmapError
+from softmap_edge.fem.finger import Finger, Tendon
+from softmap_edge.fem.simulator import Simulator, Sweep
 from softmap_edge.files.npz import read_npz
-from softmap_edge.solid.finger import Finger, Tendon
-from softmap_edge.solid.simulator import Simulator, Sweep
 
 
 @pytest.fixture(scope="module")

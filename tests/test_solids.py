@@ -9,15 +9,15 @@ import pytest
 
 from softmap_edge import Run, _core, builtin_model, load_bundle
 from softmap_edge.cli import main
-from softmap_edge.elsewhere.summary import read_summary
 from softmap_edge.errors import FingerError, RunError, SoftmapError
+from softmap_edge.fem.bodies import Block, Meshed
+from softmap_edge.fem.build import build_model
+from softmap_edge.fem.finger import Finger, Region, Tendon
+from softmap_edge.fem.mesh_file import read_mesh
+from softmap_edge.fem.simulator import Simulator, Sweep
+from softmap_edge.fem.sofa import sofa_scene
 from softmap_edge.model.bundle import save_bundle
-from softmap_edge.solid.bodies import Block, Meshed
-from softmap_edge.solid.build import build_model
-from softmap_edge.solid.finger import Finger, Region, Tendon
-from softmap_edge.solid.mesh_file import read_mesh
-from softmap_edge.solid.simulator import Simulator, Sweep
-from softmap_edge.solid.sofa import sofa_scene
+from softmap_edge.sweep.summary import read_summary
 
 SIZE = (16.0, 14.0, 60.0)
 # Six tetrahedra of a brick, around its diagonal from corner 0 to corner 6.

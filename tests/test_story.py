@@ -15,7 +15,7 @@ from softmap_edge.experiment.choose import SETTLED
 from softmap_edge.robot.drive.command_file import read_commands
 from softmap_edge.robot.emulated.laws import TipWeight, TrueWeight
 from softmap_edge.run.protocol import Limits
-from softmap_edge.truth import Secret, Truth
+from softmap_edge.synthetic.finger import Secret, Truth
 
 MODEL = builtin_model()
 FIRST = ["home revisits", "triangles of growing size", "diagonals", "fast and slow triangles"]

@@ -5,8 +5,8 @@ import pytest
 
 from benches.bank.rod import Loads, settle
 from benches.bank.section import finger, uniform
-from softmap_edge.elsewhere.stretches import NAMES, stretch_fields
 from softmap_edge.geometry.centreline import find_centreline
+from softmap_edge.sweep.stiff_sections import NAMES, stretch_fields
 
 MIDDLES = np.arange(7) / 6
 CHANGES = {"gradient": 0.5 * (MIDDLES - 0.5), "middle": np.where(np.abs(MIDDLES - 0.5) < 0.2, 0.4, 0.0)}

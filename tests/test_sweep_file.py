@@ -5,8 +5,8 @@ import pytest
 from robots import arc, rings
 
 from softmap_edge.cli import main
-from softmap_edge.elsewhere.sweep_file import ShapeSweep, grid_axes, is_shape_sweep
 from softmap_edge.errors import SweepError
+from softmap_edge.sweep.sweep_file import ShapeSweep, grid_axes, is_shape_sweep
 
 PLACE, OFFSET = rings(6, 8)
 GRID = np.stack([g.ravel() for g in np.meshgrid(np.linspace(-10, 10, 5), np.linspace(-8, 8, 5), indexing="ij")], axis=1)

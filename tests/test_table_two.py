@@ -8,10 +8,10 @@ import pytest
 
 from softmap_edge import SoftmapError, builtin_model, save_bundle
 from softmap_edge.cli import main
+from softmap_edge.fem.simulator import Simulator
 from softmap_edge.model.shapes import family_from
-from softmap_edge.motion.table_two import OURS, PUBLISHED_ERRORS, RIVAL, UNDONE, table_two, text_of
-from softmap_edge.solid.simulator import Simulator
-from softmap_edge.truth_virtual import virtual_finger
+from softmap_edge.synthetic.table_two import OURS, PUBLISHED_ERRORS, RIVAL, UNDONE, table_two, text_of
+from softmap_edge.synthetic.virtual_finger import virtual_finger
 
 FEW = {"figures": ["O"], "rate": 1.0, "duration": 6.0}
 
@@ -48,7 +48,7 @@ def test_ours_a_rival_and_the_papers_figures_stand_beside_each_other(model):
 
 
 def test_one_solved_sequence_is_replayed_on_both(model, monkeypatch):
-    from softmap_edge.motion import table_two as module
+    from softmap_edge.synthetic import table_two as module
 
     sent = {}
     path = Simulator.path

@@ -8,7 +8,7 @@ import pytest
 from softmap_edge import Finger, Simulator, load_bundle
 from softmap_edge.cli import main
 from softmap_edge.commands.demo import trial
-from softmap_edge.truth import hide
+from softmap_edge.synthetic.finger import hide
 
 FILE = Path(__file__).parents[1] / "examples/three_tendons.toml"
 FALL = 0.85  # of the removable error, as the two pairs of the built-in finger promise

@@ -9,7 +9,7 @@ import pytest
 from tick_runs import HOME, MODEL, A, B, commands, record, scattered
 
 from softmap_edge import compare, diagnose, learn_residual, load_bundle, save_bundle
-from softmap_edge.alignment.calibration import calibrate
+from softmap_edge.calibration.calibration import calibrate
 from softmap_edge.errors import BundleError, CalibrationError, RunError
 from softmap_edge.model.servo_calibration import Calibration, converted
 

@@ -19,7 +19,7 @@ from waiting import until
 from softmap_edge import Run, SoftmapError, _core, builtin_model, diagnose, save_bundle
 from softmap_edge.cli import main
 from softmap_edge.commands.experiment import record_arguments
-from softmap_edge.commands.servo_emulate import emulate_arguments, streaming
+from softmap_edge.commands.servo.emulate import emulate_arguments, streaming
 from softmap_edge.commands.teleop import teleop_arguments
 from softmap_edge.commands.track import track_arguments
 from softmap_edge.robot.control.controller import Controller

@@ -11,11 +11,11 @@ from page import blocks, lines
 
 from softmap_edge.cli import main
 from softmap_edge.commands.track import track_arguments
-from softmap_edge.motion.table_two import OURS, PUBLISHED_ERRORS, RIVAL, UNDONE
 from softmap_edge.report.figures import AFTER, INK
 from softmap_edge.robot.control.recording import read_recording
 from softmap_edge.robot.motion.figures import FIGURES
 from softmap_edge.robot.motion.kinematics import METHODS
+from softmap_edge.synthetic.table_two import OURS, PUBLISHED_ERRORS, RIVAL, UNDONE
 
 PAGE = (Path(__file__).parents[1] / "docs/track.md").read_text(encoding="utf-8")
 PATH = "{http://www.w3.org/2000/svg}path"

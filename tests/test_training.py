@@ -93,7 +93,7 @@ def test_a_bundle_carries_the_network_and_answers_as_it_does(quick, tmp_path):
 
 
 def test_a_residual_of_another_prior_goes(quick):
-    from softmap_edge.residual import learn_residual
+    from softmap_edge.adaptation.residual import learn_residual
 
     taught = learn_residual(BASE, replace(_run(GRID[::9]), vertices=POINTS[::9].reshape(-1, *BASE.rest.shape) + 0.5))[0]
     assert taught.residual is not None

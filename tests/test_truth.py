@@ -191,7 +191,7 @@ def test_protocols_repeat_themselves_and_refuse_nonsense():
 
 
 def test_camera_noise_has_the_declared_size_and_memory():
-    from softmap_edge.truth import Camera
+    from softmap_edge.synthetic.finger import Camera
 
     camera = Camera(vertex_mm=0.25, shift_mm=0.5, turn_deg=0.0, memory_s=1.0)
     t = np.arange(4000) * 0.5
@@ -209,7 +209,7 @@ long = pytest.mark.prove  # `hide` itself refuses what moves less or more; every
     "name", ["mount", *(pytest.param(name, marks=long) for name in ("backlash", "latency", "payload"))]
 )
 def test_secret_moves_the_centroids_by_what_it_says(name):
-    from softmap_edge.truth import centroids, hide
+    from softmap_edge.synthetic.finger import centroids, hide
 
     p = standard_protocol()
     truth = hide([name], 4)
@@ -220,8 +220,8 @@ def test_secret_moves_the_centroids_by_what_it_says(name):
 
 
 def test_every_frame_is_the_equilibrium_found_on_its_own():
-    from softmap_edge import truth
-    from softmap_edge.truth import hide
+    from softmap_edge.synthetic import finger as truth
+    from softmap_edge.synthetic.finger import hide
 
     finger, p = hide(["payload"], 4), standard_protocol()
     chosen = np.arange(0, p.frames, 80)
@@ -236,7 +236,7 @@ def test_every_frame_is_the_equilibrium_found_on_its_own():
 
 
 def test_a_tour_visits_every_place_once_and_makes_short_steps():
-    from softmap_edge.truth import tour
+    from softmap_edge.synthetic.finger import tour
 
     places = np.random.default_rng(0).uniform(-10, 10, (200, 2))
     order = tour(places)
@@ -246,7 +246,7 @@ def test_a_tour_visits_every_place_once_and_makes_short_steps():
 
 
 def test_a_measured_finger_is_a_run():
-    from softmap_edge.truth import hide, template
+    from softmap_edge.synthetic.finger import hide, template
 
     p = other_protocol()
     run = hide(["mount"], 4).measure(p)
@@ -257,7 +257,7 @@ def test_a_measured_finger_is_a_run():
 
 
 def test_unknown_and_doubled_secrets_are_refused():
-    from softmap_edge.truth import hide
+    from softmap_edge.synthetic.finger import hide
 
     with pytest.raises(SoftmapError, match="offset, gain, backlash"):
         hide(["wobble"], 0)
@@ -269,7 +269,7 @@ def test_unknown_and_doubled_secrets_are_refused():
 
 def test_laws_that_are_asked_for_by_name_move_every_channel():
     from softmap_edge.robot.emulated.named_laws import OffCentreSpool, SwappedServos
-    from softmap_edge.truth import hide
+    from softmap_edge.synthetic.finger import hide
 
     t = np.arange(5.0)
     u = np.linspace(-9, 9, 5)[:, None] * [1.0, -0.5, 0.7, 0.2]

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from test_not_seen import BUT_ALSO, GOOD, SINES, STAIRS, K, T, body
 
+from softmap_edge.checks.unanswered import unanswered
 from softmap_edge.cli import main
-from softmap_edge.diagnosis.unanswered import unanswered
 from softmap_edge.run.run import Run
 
 

@@ -24,10 +24,10 @@ from onnx import TensorProto, helper, numpy_helper  # noqa: E402
 
 import softmap_edge.model.onnx as network  # noqa: E402
 from softmap_edge import _core, builtin_model, load_bundle, save_bundle  # noqa: E402
+from softmap_edge.alignment.clouds import read_clouds  # noqa: E402
 from softmap_edge.cli import main  # noqa: E402
 from softmap_edge.errors import BundleError, SoftmapError  # noqa: E402
 from softmap_edge.files.npz import MOST_ARRAYS, read_npz, write_npz  # noqa: E402
-from softmap_edge.registration.clouds import read_clouds  # noqa: E402
 
 GIVEN = Path(__file__).parent / "data" / "untrusted"
 BASE = builtin_model()

@@ -12,19 +12,19 @@ from softmap_edge import _core
 from softmap_edge.cli import main
 from softmap_edge.commands.experiment import _ahead
 from softmap_edge.errors import SoftmapError
+from softmap_edge.fem.bodies import Block, Tapered
+from softmap_edge.fem.cut import Cut
+from softmap_edge.fem.finger import Finger
+from softmap_edge.fem.simulator import Simulator
 from softmap_edge.files.npz import read_npz
-from softmap_edge.protocol_virtual import KINDS, virtual_protocol
 from softmap_edge.robot.drive.command_file import read_commands, write_commands
 from softmap_edge.robot.emulated.laws import OtherSpool, TipWeight, rotation
 from softmap_edge.robot.emulated.published_map import PUBLISHED
 from softmap_edge.run.protocol import Limits
 from softmap_edge.run.run import Run
-from softmap_edge.solid.bodies import Block, Tapered
-from softmap_edge.solid.cut import Cut
-from softmap_edge.solid.finger import Finger
-from softmap_edge.solid.simulator import Simulator
-from softmap_edge.truth import Secret, toured
-from softmap_edge.truth_virtual import CAMERAS, LEAN, MEASURED, MODULUS, PHASE, virtual_finger
+from softmap_edge.synthetic.finger import Secret, toured
+from softmap_edge.synthetic.virtual_finger import CAMERAS, LEAN, MEASURED, MODULUS, PHASE, virtual_finger
+from softmap_edge.synthetic.virtual_protocol import KINDS, virtual_protocol
 
 FINGER = Finger.builtin().replace(core=2, layers=12)
 LIMITS = Limits.of(np.array(FINGER.command_range))

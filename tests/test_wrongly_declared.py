@@ -11,7 +11,7 @@ from test_diagnosis import finger_run
 from softmap_edge import builtin_model, diagnose
 from softmap_edge.cli import main
 from softmap_edge.run.protocol import standard_protocol
-from softmap_edge.truth import hide
+from softmap_edge.synthetic.finger import hide
 
 
 @pytest.mark.parametrize(("hangs", "fits"), [(0.0, "no load at all fits"), (10.0, "10")])

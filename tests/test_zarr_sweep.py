@@ -19,8 +19,8 @@ from softmap_training.sweeps import sweep_to_zarr
 from softmap_edge.cli import main
 from softmap_edge.commands.progress import Bar
 from softmap_edge.errors import SimulationError, SoftmapError
-from softmap_edge.solid.finger import Finger
-from softmap_edge.solid.simulator import Simulator
+from softmap_edge.fem.finger import Finger
+from softmap_edge.fem.simulator import Simulator
 
 FINGER = Finger.builtin().replace(core=2, layers=8)
 AXES = [np.linspace(-6.0, 6.0, 5), np.linspace(-4.0, 4.0, 4)]  # 20 commands

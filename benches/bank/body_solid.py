@@ -23,10 +23,10 @@ from benches.bank.laws_body import BODY
 from benches.bank.laws_drive import DRIVE
 from benches.bank.laws_unknown import UNKNOWN
 from benches.bank.rod import Loads
+from softmap_edge.fem.finger import Finger, Region
+from softmap_edge.fem.simulator import Simulator, tour
 from softmap_edge.model.bundle import builtin_model
 from softmap_edge.run.protocol import HANGING, LEANING
-from softmap_edge.solid.finger import Finger, Region
-from softmap_edge.solid.simulator import Simulator, tour
 
 if TYPE_CHECKING:
     from softmap_edge.model.model import Model

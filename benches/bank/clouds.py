@@ -11,11 +11,11 @@ from dataclasses import replace
 
 import numpy as np
 
+from softmap_edge.alignment.register import register
 from softmap_edge.model.model import Model
-from softmap_edge.registration.register import register
 from softmap_edge.run.protocol import Protocol
 from softmap_edge.run.run import Run
-from softmap_edge.truth_clouds import TWO
+from softmap_edge.synthetic.depth_camera import TWO
 
 CAMERAS = replace(TWO, points=3000, hole_mm=10.0)  # 0.5 mm a coordinate, 5 % outliers
 LONG = 200  # frames of a protocol above which every second is left out

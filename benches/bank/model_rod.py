@@ -1,6 +1,6 @@
 """The model of slice A: made from the rod's own clean sweep, as that of any stranger's simulator.
 
-`softmap_edge.elsewhere` makes the table of shapes and finds the stiffness by a known weight. It bends a line of one
+`softmap_edge.sweep` makes the table of shapes and finds the stiffness by a known weight. It bends a line of one
 compliance, and this finger is ten times stiffer at its base than at its tip: its answer to gravity would be half a
 millimetre off. The owner of the simulator gives it as well, at an equilibrium with tangent K (cables' own stiffness
 left out), force f and lengths L of the cables:
@@ -46,8 +46,8 @@ Change = Callable[[Design, Loads, float], tuple[Design, Loads]]
 @lru_cache(maxsize=1)
 def model() -> Model:
     """Return the model of the clean rod. Grams are allowed: a known weight was hung on."""
-    from softmap_edge.elsewhere.build import model_from_file
     from softmap_edge.model.shapes import family_from, fields_from
+    from softmap_edge.sweep.build import model_from_file
 
     made = model_from_file(stored("rod-sweep", (sources(), SWEEP, KNOWN), _sweep))
     names = [name for name in _core.FIELDS if name in changes()]

@@ -14,9 +14,9 @@ from benches import tdcr as tdcr_bench
 from benches import trunk_load
 from benches.outside.case import BLOCKS, Case, Floats, places, text
 from softmap_edge import Model, Run
+from softmap_edge.fem.build import build_model
+from softmap_edge.fem.fit import FingerFit
 from softmap_edge.rod.learn import learn, learned_model
-from softmap_edge.solid.build import build_model
-from softmap_edge.solid.fit import FingerFit
 
 
 def trunk(folder: Path) -> Case:

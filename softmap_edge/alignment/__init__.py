@@ -1,1 +1,1 @@
-"""Camera or mocap frame → base frame, servo ticks → commands, each with its uncertainty; poses between points."""
+"""Camera or motion-capture frame → base frame; templates laid onto point clouds."""

@@ -1,204 +1,151 @@
-"""Where the base stands in the frame of clouds: a rigid pose that all frames share, told by the body near the clamp.
+"""Point clouds from files, as a run: one frame a file, or a run that holds them. mm.
 
-    min Σ_k Σ_i ρ(|q_i − S_k|),  q = R p + t    p: points of cloud k near the base, S_k: the surface at u_k + Δu
-
-Near the clamp a finger hardly bends, whatever the model lacks; a base that stands elsewhere moves all of that alike.
-A command that is off by a constant bends it there too, and is fitted beside the pose. Roll and height stay as they
-are: a round body shows neither. Groups of frames say how well the others are known.
-Units: mm, rad; degrees in what is told.
-Limit: what the model lacks within ZONE of the clamp is taken for the frame. Pinned by tests/test_align.py.
+PLY, PCD, text (CSV, XYZ, PTS, COLMAP, OBJ vertices), NPY and NPZ are recognised by their content, not by their name.
+No code in a file is ever run, and sizes in a file are checked before memory is allocated. A file without times is one
+frame; frames are then one second apart. Pixels without depth are left out and counted (unseen.py), columns
+are found by their names, else by their values (columns.py). Pinned by tests/test_clouds.py and
+tests/test_clouds_of_others.py.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from softmap_edge import _core
-from softmap_edge.alignment.checks import student
-from softmap_edge.alignment.result import Alignment
-from softmap_edge.errors import AlignError
-from softmap_edge.geometry.rigid import Pose, jacobian, rotation, rotation_vector
-from softmap_edge.model.orientation import priors_in
-from softmap_edge.registration.clouds import clouds_of
-
-if TYPE_CHECKING:
-    from softmap_edge.model.model import Model
-    from softmap_edge.run.run import Run
+from softmap_edge.alignment.cloud_files.array import read_archive, read_npy
+from softmap_edge.alignment.cloud_files.pcd import is_pcd, read_pcd
+from softmap_edge.alignment.cloud_files.ply import read_ply
+from softmap_edge.alignment.cloud_files.text import read_text
+from softmap_edge.alignment.cloud_files.unseen import left_out
+from softmap_edge.errors import RegistrationError
+from softmap_edge.files.npz import archive_names
+from softmap_edge.run.run import Run
 
 Floats = NDArray[np.float64]
+Reader = Callable[[Path, list[str]], Floats]
 
-RIM, ZONE = 0.03, 0.25  # of the template's height: between them lies the part that tells the base
-WIDER = 1.3  # times ZONE: the surface that its points are held against
-GATE = 8.0  # mm from the surface, beyond which a point is something else
-FRAMES, POINTS = 96, 400  # that are looked at, at most: frames, and points of each
-LEAST = 200  # points near the base, of all frames
-GROUPS = 8
-ROUNDS, SETTLED = 30, 1e-5
-TUKEY, TO_SIGMA = 4.685, 1.4826
-TOLD = [0, 1, 3, 4]  # of turns and shifts: roll and height hardly show
-CLEAR, LEAST_OFF = 4.0, 0.2  # standard deviations, and mm at the tip, from which a base stands elsewhere
+MOST_BYTES = 512 << 20  # of one cloud's file; ten million points as text
+READ = "PLY, PCD, CSV, XYZ, OBJ, NPY or NPZ"
+_HEAD = 4096  # bytes from which a kind of file is recognised
+_OTHERS = [
+    (b"LASF", "a LAS or LAZ file"),
+    (b"ASTM-E57", "an E57 file"),
+    (b"\x89HDF", "an HDF5 file"),
+    (b"MATLAB 5", "a MATLAB file"),
+    (b"\x1f\x8b", "compressed by gzip; unpack it first"),
+    (b"\x28\xb5\x2f\xfd", "compressed by zstd; unpack it first"),
+    (b"#ROSBAG", "a ROS 1 bag"),
+    (b"\x89MCAP", "an MCAP recording"),
+    (b"SQLite format", "an SQLite file"),
+    (b"glTF", "a glTF file"),
+    (b"OFF", "an OFF mesh"),
+    (b"solid", "an STL mesh"),
+    (b"# vtk DataFile", "a VTK file"),
+    (b"<", "an XML file"),
+    (b"{", "a JSON file"),
+    (b"[", "a JSON file"),
+]
 
 
-def align_clouds(run: Run, model: Model) -> Alignment:
-    """Find the pose of the base in a run of clouds.
+def read_clouds(paths: Sequence[str | Path], notes: list[str] | None = None) -> Run:
+    """Read clouds: one run (.npz with `points` and `start`), or one frame from each of the files.
 
     Args:
-        run: with `points`, commands (or ticks, where the model is calibrated), about in the base frame already.
-        model: of this robot, with a surface.
+        paths: files PLY, PCD, CSV, XYZ, OBJ, NPY or NPZ, of points (M, 3) mm.
+        notes: receives a sentence for each part that was left out and each choice of columns.
+
+    Returns:
+        Run: with `points` and `start`; without commands where the files hold none.
 
     Raises:
-        AlignError: no surface, or too few points near the base.
+        RegistrationError: a file is no cloud, or a run among other files; the message names it and its contents.
+        RunError: it is a run, and one of its fields is wrong.
     """
-    if not len(model.triangles):
-        raise AlignError(f"the model of '{model.robot}' has no surface; give the bundle of a finger with one")
-    some = np.unique(np.linspace(0, run.frames - 1, min(run.frames, FRAMES)).astype(int))
-    few = run.at(some)
-    shapes = np.asarray(model.with_residual(None).predict(few))
-    low, height = float(model.rest[:, 2].min()), float(np.ptp(model.rest[:, 2]))
-    near = model.rest[:, 2] <= low + WIDER * ZONE * height
-    numbers = np.cumsum(near) - 1
-    triangles = numbers[model.triangles[near[model.triangles].all(axis=1)]].tolist()
-    slopes = _slopes(model, few)[:, near]
-    surfaces = [_core.Surface(np.ascontiguousarray(shape[near]), triangles) for shape in shapes]
-    zone = low + RIM * height, low + ZONE * height
-    within = model.rest[(model.rest[:, 2] >= zone[0]) & (model.rest[:, 2] <= zone[1])]
-    centre = within.mean(axis=0)
-    reach = float(np.linalg.norm(within - centre, axis=1).max())
-    clouds = [_near(cloud, surface, centre, reach, zone) for cloud, surface in zip(clouds_of(few), surfaces)]
-    count = sum(map(len, clouds))
-    if count < LEAST:
-        raise AlignError(
-            f"{count} points within {GATE:g} mm of the lowest {ZONE * height:.0f} mm of the body, {LEAST} or more tell "
-            "where the base stands; show the base to the cameras"
-        )
-    pose, step = Pose(np.eye(3), np.zeros(3)), np.zeros(6)
-    for _ in range(ROUNDS):
-        each = zip(clouds, surfaces, shapes[:, near], slopes)
-        rows = [_row(pose(cloud), surface, shape, by, centre, reach) for cloud, surface, shape, by in each]
-        found = _Normal.of(rows)
-        step = found.step()
-        more = rotation(step[:3] / reach)
-        pose = Pose(more, centre - more @ centre + step[3:]).after(pose)
-        if np.abs(step).max() < SETTLED:
-            break
-    lever = np.eye(6) / np.r_[np.full(3, reach), np.ones(3)]  # of (turn · reach, shift at the centre) to what is told
-    lever[3:, :3] = jacobian(-centre[None])[0][:, :3] / reach
-    sigma = np.sqrt(np.diag(lever @ found.covariance() @ lever.T)) * np.r_[np.full(3, np.degrees(1.0)), np.ones(3)]
-    notes = ["roll and height hardly show in clouds of a finger's lower part, and stay as they are"]
-    return Alignment(
-        pose, sigma, "clouds near the base", len(found.pulls), len(some), count, [], found.left, found.scatter, 1.0,
-        None, notes,
-    )  # fmt: skip
-
-
-def in_base(run: Run, model: Model) -> tuple[Run, Alignment | None]:
-    """Return a run of clouds in the base frame, and the pose where its base clearly stood elsewhere.
-
-    Clearly is by CLEAR standard deviations of a turn or a shift, and by LEAST_OFF mm at the tip. Other runs, and clouds
-    that show too little of the base, are returned as they are.
-    """
-    if run.points is None:
-        return run, None
-    try:
-        found = align_clouds(run, model)
-    except AlignError:
-        return run, None
-    turn, shift = np.abs(rotation_vector(found.pose.rotation)), np.abs(found.pose.shift)
-    size = np.r_[np.degrees(turn), shift]
-    moved = np.r_[turn * float(np.ptp(model.rest[:, 2])), shift]
-    clear = np.any((size > CLEAR * found.sigma)[TOLD] & (moved > LEAST_OFF)[TOLD])
-    return (found.apply(run), found) if clear else (run, None)
-
-
-def base_stood_off(pose: Pose) -> str:
-    """Say that clouds were taken by a pose into the frame of their base, and what to do with others."""
-    turn, shift = np.degrees(rotation_vector(pose.rotation)), pose.shift
-    turned, shifted = (", ".join(f"{v + 0.0:.2f}" for v in numbers) for numbers in (turn, shift))
-    return (
-        f"the base stands off the frame of the clouds: these were turned by ({turned}) deg and shifted by ({shifted}) "
-        "mm first; do so with every run: softmap align RUN --base clamped --bundle CALIBRATED --out RUN2"
+    files = [Path(path) for path in paths]
+    found: list[str] = [] if notes is None else notes
+    if len(files) == 1 and "t_seen.npy" in archive_names(files[0]):
+        run = Run.load(files[0])
+        if run.points is None:
+            raise RegistrationError(f"{files[0]}: a run without clouds (`points`, `start`); nothing to register")
+        run, text = with_depth(run)
+        found += [f"{files[0].name}: {text}"] if text else []
+        return run
+    frames = [_cloud(path, found) for path in files]
+    start = np.cumsum([0, *map(len, frames)])
+    return Run(
+        t=np.arange(float(len(frames))), t_seen=np.arange(float(len(frames))), points=np.vstack(frames), start=start
     )
 
 
-@dataclass(frozen=True, eq=False)
-class _Normal:
-    """Normal equations of G groups of frames for 6 + C numbers: turns and shifts in mm at the rim, then commands."""
-
-    bends: Floats
-    pulls: Floats
-    scatter: float
-    left: float
-
-    @classmethod
-    def of(cls, rows: list[tuple[Floats, Floats]]) -> _Normal:
-        distance = np.concatenate([d for d, _ in rows])
-        scatter = max(TO_SIGMA * float(np.median(distance)), 1e-9)
-        groups = np.array_split(np.arange(len(rows)), min(GROUPS, len(rows)))
-        size = rows[0][1].shape[1]
-        bends, pulls = np.zeros((len(groups), size, size)), np.zeros((len(groups), size))
-        for g, group in enumerate(groups):
-            d, j = (np.concatenate([rows[k][i] for k in group]) for i in (0, 1))
-            weight = (1.0 - np.minimum(d / (TUKEY * scatter), 1.0) ** 2) ** 2
-            bends[g], pulls[g] = (j * weight[:, None]).T @ j, -(j * weight[:, None]).T @ d
-        used = distance[distance < TUKEY * scatter]
-        return cls(bends, pulls, scatter, float(np.sqrt(np.mean(used**2))))
-
-    @property
-    def inverse(self) -> Floats:
-        """The inverse of the whole matrix in the directions that are told, and for commands."""
-        whole = np.zeros(self.bends.shape[1:])
-        told = np.ix_(*[[*TOLD, *range(6, len(whole))]] * 2)
-        whole[told] = np.linalg.pinv(self.bends.sum(axis=0)[told], hermitian=True)
-        return whole
-
-    def step(self) -> Floats:
-        """Return the step (6,) of Gauss and Newton."""
-        return np.asarray(self.inverse @ self.pulls.sum(axis=0), np.float64)[:6]
-
-    def covariance(self) -> Floats:
-        """Return the covariance (6, 6) by the noise and by how the groups differ."""
-        count = len(self.pulls)
-        apart = self.pulls - self.pulls.mean(axis=0)
-        wander = self.inverse @ (apart.T @ apart) @ self.inverse * count / max(count - 1, 1)
-        whole = self.scatter**2 * self.inverse + student(max(count - 1, 1)) ** 2 * wander
-        return np.asarray(whole[:6, :6], np.float64)
+def clouds_of(run: Run) -> list[Floats]:
+    """Return the measured points (M, 3) mm of each cloud of a run, one cloud a frame; pixels without depth are not."""
+    return [cloud[left_out(cloud)[0]] for cloud in _clouds(run)]
 
 
-def _near(cloud: Floats, surface: _core.Surface, centre: Floats, reach: float, zone: tuple[float, float]) -> Floats:
-    """Return the points (m, 3) of a cloud by the part of a surface between two heights, POINTS at most."""
-    some = np.asarray(cloud[np.linalg.norm(cloud - centre, axis=1) < reach + GATE], np.float64)
-    if not len(some):
-        return some
-    places, distance = surface.nearest(np.ascontiguousarray(some))
-    some = some[(distance < GATE) & (places[:, 2] > zone[0]) & (places[:, 2] < zone[1])]  # beyond, the surface is cut
-    return np.ascontiguousarray(some[:: max(1, len(some) // POINTS)])
+def with_depth(run: Run) -> tuple[Run, str]:
+    """Return a run of clouds without the pixels that have no depth, and a sentence about these ("" if none)."""
+    clouds = _clouds(run)
+    found = [left_out(cloud) for cloud in clouds]
+    lost = [(k, text) for k, (_, text) in enumerate(found) if text]
+    if not lost:
+        return run, ""
+    start = np.cumsum([0, *(int(good.sum()) for good, _ in found)])
+    kept = replace(run, points=np.vstack([cloud[good] for cloud, (good, _) in zip(clouds, found)]), start=start)
+    return kept, f"{len(lost)} of {len(found)} clouds, the first is cloud {lost[0][0]}: {lost[0][1]}"
 
 
-def _slopes(model: Model, run: Run) -> Floats:
-    """Return what commands do to the vertices (K, N, 3, C) of each frame."""
-    u = model.acts(run)
-    slopes = np.empty((len(u), *model.rest.shape, model.channels))
-    for rows, family in priors_in(model, run):
-        slopes[rows] = np.asarray(family.jacobian(np.ascontiguousarray(u[rows]))).reshape(-1, *slopes.shape[1:])
-    return slopes
+def _clouds(run: Run) -> list[Floats]:
+    """Return the clouds of a run as they are stored."""
+    if run.points is None or run.start is None:
+        raise RegistrationError("the run holds no clouds (`points`, `start`); nothing to register")
+    return [run.points[a:b] for a, b in zip(run.start[:-1], run.start[1:])]
 
 
-def _row(
-    points: Floats, surface: _core.Surface, vertices: Floats, slopes: Floats, centre: Floats, reach: float
-) -> tuple[Floats, Floats]:
-    """Return the distances (m,) mm of points from a surface, and their slopes (m, 6 + C) by turn, shift and commands.
+def _cloud(path: Path, notes: list[str]) -> Floats:
+    """Return the measured points (M, 3) of one file."""
+    if not path.is_file():
+        raise RegistrationError(f"{path}: {'not a file' if path.exists() else 'there is no such file'}; give a cloud")
+    if path.stat().st_size > MOST_BYTES:
+        raise RegistrationError(
+            f"{path}: {path.stat().st_size >> 20} MB, at most {MOST_BYTES >> 20} are read; thin it out"
+        )
+    own: list[str] = []
+    try:
+        with np.errstate(all="ignore"):  # of numbers in a damaged file
+            points = _reader(path)(path, own)
+        good, text = left_out(points)
+        if not good.any():
+            raise RegistrationError(
+                f"{path}: no point in it was seen{f' ({text})' if text else ''}; nothing to register"
+            )
+    except RegistrationError as fault:
+        raise RegistrationError("; ".join([str(fault), *own])) from None
+    finally:
+        notes += own
+    notes += [f"{path.name}: {text}"] if text else []
+    return np.asarray(points[good])
 
-    vertices, slopes: those (N, 3) of the surface, and what commands do to them (N, 3, C).
-    """
-    if not len(points):
-        return np.zeros(0), np.zeros((0, 6 + slopes.shape[2]))
-    places, distance = surface.nearest(np.ascontiguousarray(points))
-    away = (points - places) / np.maximum(distance, 1e-12)[:, None]
-    arm = points - centre
-    nearest = np.argmin(np.linalg.norm(places[:, None] - vertices, axis=2), axis=1)
-    by_command = -np.einsum("mx,mxc->mc", away, slopes[nearest])
-    return distance, np.concatenate([np.cross(arm, away) / reach, away, by_command], axis=1)
+
+def _reader(path: Path) -> Reader:
+    """Return the reader of a file, by its first bytes."""
+    with path.open("rb") as file:
+        head = file.read(_HEAD)
+    if head.startswith((b"ply\n", b"ply\r")):
+        return read_ply
+    if head.startswith(b"PK\x03\x04"):
+        return read_archive
+    if head.startswith(b"\x93NUMPY"):
+        return read_npy
+    if is_pcd(head):
+        return read_pcd
+    text = head.removeprefix(b"\xef\xbb\xbf").lstrip()
+    if not text:
+        raise RegistrationError(f"{path}: an empty file; save the cloud again as {READ}")
+    for mark, what in _OTHERS:
+        if text.startswith(mark):
+            raise RegistrationError(f"{path}: {what}; clouds are read as {READ}: save it as one of them")
+    return read_text

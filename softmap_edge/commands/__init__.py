@@ -26,7 +26,9 @@ VERBS: list[Verb] = [
     Verb("align", "set up", "camera or mocap frame → base frame", "softmap_edge.commands.align"),
     Verb("register", "set up", "point clouds → vertices of the template", "softmap_edge.commands.register"),
     Verb("calibrate", "set up", "servo ticks → commands of a model", "softmap_edge.commands.calibrate"),
-    Verb("servo", "set up", "find, read, set up, home, release or emulate servos", "softmap_edge.commands.servo"),
+    Verb(
+        "servo", "set up", "find, read, set up, home, release or emulate servos", "softmap_edge.commands.servo.commands"
+    ),
     Verb("run", "set up", "cut runs, join them, show what they hold", "softmap_edge.commands.run"),
     Verb("doctor", "set up", "is everything here that a robot needs", "softmap_edge.commands.doctor"),
     Verb("check", "look", "is this run or bundle sound", "softmap_edge.commands.runs"),
@@ -47,7 +49,7 @@ VERBS: list[Verb] = [
     Verb(
         "record", "move", "play a command file, on a robot or the simulated finger", "softmap_edge.commands.experiment"
     ),
-    Verb("replay", "move", "a recording of the loop, decided again", "softmap_edge.commands.servo"),
+    Verb("replay", "move", "a recording of the loop, decided again", "softmap_edge.commands.servo.commands"),
 ]
 
 # Verbs of distributions that may not be installed, and what to install for each.

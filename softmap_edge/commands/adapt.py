@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 
-from softmap_edge.adaptation import adapt as learn
+from softmap_edge.adaptation.adapt import adapt as learn
 from softmap_edge.commands.output import bundle_arguments, check_bundle, check_file
 from softmap_edge.commands.own import effects_argument, load_own, open_model
 from softmap_edge.commands.understand import teller, warn_outside, write_page

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from softmap_edge.alignment.align import align_base, align_home, clamped_places
-from softmap_edge.alignment.clouds import align_clouds
+from softmap_edge.alignment.base_in_clouds import align_clouds
 from softmap_edge.alignment.result import Alignment, base_markers, in_frame
 from softmap_edge.commands.output import check_file, check_no_run
 from softmap_edge.commands.own import effects_argument, load_own, open_model

@@ -5,8 +5,8 @@ from __future__ import annotations
 import argparse
 import json
 
-from softmap_edge.alignment.calibrated import Calibrated
-from softmap_edge.alignment.calibration import calibrate as find
+from softmap_edge.calibration.calibration import calibrate as find
+from softmap_edge.calibration.found import Calibrated
 from softmap_edge.commands.output import bundle_arguments, check_bundle, check_file
 from softmap_edge.commands.own import effects_argument, load_own, open_model
 from softmap_edge.errors import CalibrationError, ReportError

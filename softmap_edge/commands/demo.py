@@ -14,10 +14,10 @@ from pathlib import Path
 from typing import Any
 
 from softmap_edge.commands.progress import Ticker
-from softmap_edge.diagnosis.comparison import Comparison, compare
+from softmap_edge.comparison.comparison import Comparison, compare
+from softmap_edge.comparison.series import series
 from softmap_edge.diagnosis.diagnose import diagnose
 from softmap_edge.diagnosis.document import Diagnosis
-from softmap_edge.diagnosis.series import series
 from softmap_edge.errors import ReportError, SoftmapError
 from softmap_edge.files.numbers import fall
 from softmap_edge.model.bundle import builtin_model, save_bundle
@@ -25,7 +25,7 @@ from softmap_edge.model.model import Model
 from softmap_edge.report.html import write_html
 from softmap_edge.run.protocol import Protocol, other_protocol, standard_protocol
 from softmap_edge.run.run import Run
-from softmap_edge.truth import WATCH, Truth, check_hidden, hide, surprise
+from softmap_edge.synthetic.finger import WATCH, Truth, check_hidden, hide, surprise
 
 SCHEMA = "softmap.demo/1"
 FIRST_SEED = 1

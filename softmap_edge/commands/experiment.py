@@ -105,8 +105,8 @@ def next(args: argparse.Namespace) -> int:
 def _standard(args: argparse.Namespace, model: Any) -> tuple[Any, list[Any], list[str]]:
     """Return commands that are asked for without a diagnosis: the standard protocol, or blocks by name."""
     from softmap_edge.experiment.blocks import Setting, chosen, plan
-    from softmap_edge.protocol_virtual import virtual_protocol
     from softmap_edge.run.protocol import standard_protocol
+    from softmap_edge.synthetic.virtual_protocol import virtual_protocol
 
     for path in (*args.run, *args.reference):
         open_run(path, model)  # not needed here, but damage is reported
@@ -157,7 +157,7 @@ def _answered(args: argparse.Namespace, model: Any) -> tuple[Any, list[Any], lis
 
 def _played(args: argparse.Namespace, model: Any) -> str:
     """Say how the commands are played on the simulated finger, if it is this robot."""
-    from softmap_edge.solid.finger import Finger
+    from softmap_edge.fem.finger import Finger
 
     if model.robot != Finger.builtin().name:
         return ""
@@ -214,9 +214,9 @@ def record_arguments(parser: argparse.ArgumentParser) -> None:
 
 def record(args: argparse.Namespace) -> int:
     """Play a command file on a robot, or on the simulated finger, and write the run."""
+    from softmap_edge.fem.finger import Finger
     from softmap_edge.robot.drive.command_file import read_commands
-    from softmap_edge.solid.finger import Finger
-    from softmap_edge.truth import WATCH, check_hidden
+    from softmap_edge.synthetic.finger import WATCH, check_hidden
 
     if args.recover:
         from softmap_edge.commands.record_robot import recover
@@ -284,8 +284,8 @@ def _ahead(made: Any, hidden: bool) -> str:
 
 def _measured(args: argparse.Namespace, made: Any, finger: Any, names: list[str], seed: int) -> tuple[Any, Any]:
     """Return the run of a protocol, and of the virtual finger what is true."""
-    from softmap_edge.truth import hide
-    from softmap_edge.truth_virtual import virtual_finger
+    from softmap_edge.synthetic.finger import hide
+    from softmap_edge.synthetic.virtual_finger import virtual_finger
 
     if args.virtual:
         return virtual_finger(seed, finger, names).measure(made, args.noise_seed)

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from softmap_edge.commands.own import load_own, open_model
 from softmap_edge.commands.seeing import late, receiver
-from softmap_edge.diagnosis.live import Live, Now
+from softmap_edge.comparison.live import Live, Now
 from softmap_edge.errors import RunError, SoftmapError
 from softmap_edge.files.printable import printable, raw
 from softmap_edge.robot.control.follow import Following

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from softmap_edge.commands.output import bundle_arguments, check_bundle, check_file, check_no_run
 from softmap_edge.commands.progress import Bar
 from softmap_edge.errors import SoftmapError
+from softmap_edge.fem.finger import Finger
 from softmap_edge.model.bundle import save_bundle
 from softmap_edge.robot.drive.recorded import open_run
-from softmap_edge.solid.finger import Finger
 
 if TYPE_CHECKING:
     from softmap_edge.rod.learn import LearnedRod
@@ -46,13 +46,13 @@ def build(args: argparse.Namespace) -> int:
     made, how = None, "another mesh, modulus ±10 %"
     with Bar(args.json) as bar:
         if args.finger is not None and Path(args.finger).suffix == ".npz":
-            from softmap_edge.elsewhere.build import model_from_file
+            from softmap_edge.sweep.build import model_from_file
 
             model = model_from_file(args.finger, bar)
             made = model.made_from.get("commands")
             how = how if made is None else "interpolation of the sweep, by leaving out"
         else:
-            from softmap_edge.solid.build import build_model
+            from softmap_edge.fem.build import build_model
 
             model = build_model(_finger(args.finger), args.steps, bar)
     commands = made or int(model.made_from["steps"]) ** model.channels
@@ -171,8 +171,8 @@ def sweep_arguments(parser: argparse.ArgumentParser) -> None:
 
 def sweep(args: argparse.Namespace) -> int:
     """Simulate a grid of commands and write commands and vertices."""
-    from softmap_edge.solid.build import grid_axes, handles_of, simulator_of
-    from softmap_edge.solid.doubts import doubts, lost_in_tendons
+    from softmap_edge.fem.build import grid_axes, handles_of, simulator_of
+    from softmap_edge.fem.doubts import doubts, lost_in_tendons
 
     _check_steps(args.steps)
     if Path(args.out).suffix == ".zarr":
@@ -197,7 +197,7 @@ def sweep(args: argparse.Namespace) -> int:
 
 def _stored(args: argparse.Namespace) -> int:
     """Simulate a grid of commands into a Zarr store, or go on with one: the work of another distribution."""
-    from softmap_edge.solid.build import grid_axes
+    from softmap_edge.fem.build import grid_axes
 
     out = Path(args.out)
     if args.chunk is not None and args.chunk < 1:
@@ -236,8 +236,8 @@ def export_arguments(parser: argparse.ArgumentParser) -> None:
 
 def export(args: argparse.Namespace) -> int:
     """Write the scene of a finger for another simulator."""
-    from softmap_edge.solid.doubts import doubts
-    from softmap_edge.solid.sofa import write_sofa_scene
+    from softmap_edge.fem.doubts import doubts
+    from softmap_edge.fem.sofa import write_sofa_scene
 
     check_file("--sofa", args.sofa, ".py")
     finger = _finger(args.finger)

@@ -5,12 +5,12 @@ from __future__ import annotations
 import argparse
 import json
 
+from softmap_edge.alignment.clouds import read_clouds
+from softmap_edge.alignment.register import TOLD
+from softmap_edge.alignment.register import register as lay
 from softmap_edge.commands.output import check_file, check_no_run
 from softmap_edge.commands.own import effects_argument, load_own, open_model
 from softmap_edge.errors import RegistrationError
-from softmap_edge.registration.clouds import read_clouds
-from softmap_edge.registration.register import TOLD
-from softmap_edge.registration.register import register as lay
 
 POOR = 1  # exit code where a frame has warnings
 

@@ -10,11 +10,10 @@ from typing import Any
 
 import numpy as np
 
+from softmap_edge.checks.advice_text import effect_lines
+from softmap_edge.checks.summary import SCHEMA, sentences, summary
 from softmap_edge.commands.output import check_file, check_kept, check_no_run
 from softmap_edge.commands.own import effects_argument, load_own, open_model
-from softmap_edge.elsewhere.summary import read_summary
-from softmap_edge.elsewhere.summary import sentences as sweep_sentences
-from softmap_edge.elsewhere.sweep_file import LIMIT, is_shape_sweep
 from softmap_edge.errors import RunError, SoftmapError, SweepError
 from softmap_edge.files.atomic import write_whole
 from softmap_edge.files.npz import read_npz
@@ -22,10 +21,11 @@ from softmap_edge.logs.importer import import_logs, read_mapping
 from softmap_edge.model.bundle import load_chain
 from softmap_edge.model.manifest import load_manifest
 from softmap_edge.model.user_effect import loaded
-from softmap_edge.report.advice_text import effect_lines
 from softmap_edge.robot.drive.recorded import open_incomplete, open_run
 from softmap_edge.run.run import Run
-from softmap_edge.run_summary import SCHEMA, sentences, summary
+from softmap_edge.sweep.summary import read_summary
+from softmap_edge.sweep.summary import sentences as sweep_sentences
+from softmap_edge.sweep.sweep_file import LIMIT, is_shape_sweep
 
 DONE, FAULT = 0, 1
 _BARS = "▁▂▃▄▅▆▇█"

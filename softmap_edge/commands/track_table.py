@@ -14,9 +14,9 @@ from softmap_edge.commands.progress import Bar
 from softmap_edge.errors import SoftmapError
 from softmap_edge.files.atomic import write_whole
 from softmap_edge.model.model import Model
-from softmap_edge.motion.table_two import table_two, text_of
 from softmap_edge.robot.motion.figures import WIDEST
 from softmap_edge.robot.motion.kinematics import AXES, Kinematics
+from softmap_edge.synthetic.table_two import table_two, text_of
 
 
 def table(args: argparse.Namespace, model: Model) -> int:

@@ -50,8 +50,8 @@ def compare(args: argparse.Namespace) -> int:
         return compare_live(args)
     if args.camera is not None or args.seconds is not None:
         raise SoftmapError("--camera and --seconds go with --live; a run has its own frames")
-    from softmap_edge.diagnosis.comparison import compare as measure
-    from softmap_edge.report.comparison_text import pair_text
+    from softmap_edge.comparison.comparison import compare as measure
+    from softmap_edge.comparison.text import pair_text
 
     check_file("--html", args.html, ".html")
     load_own(args)
@@ -213,8 +213,8 @@ def refit(args: argparse.Namespace) -> int:
 
 
 def _refit_finger(args: argparse.Namespace) -> int:
-    from softmap_edge.solid.finger import Finger
-    from softmap_edge.solid.fit import fit_finger
+    from softmap_edge.fem.finger import Finger
+    from softmap_edge.fem.fit import fit_finger
 
     check_file("--out", args.out, ".toml")
     check_kept(args.out, "a finger", args.force)
@@ -247,7 +247,7 @@ def warn_outside(verb: str, model: Any, run: Any) -> None:
 
 def _doubt(verb: str, model: Any, run: Any) -> None:
     """Tell on stderr what a diagnosis would set aside of a run, or refuse: a comparison takes it as it is."""
-    from softmap_edge.diagnosis.sound import sound
+    from softmap_edge.diagnosis.clean import sound
 
     commands = model.commands(run)
     if (commands == commands[:1]).all():
@@ -271,8 +271,8 @@ def _names(text: str) -> list[str]:
 
 def write_page(path: str, run: Any, before: Any, after: Any, diagnosis: Any, kind: str, ways: Any = None) -> None:
     """Write the page about a run seen by one model, or by two where they differ."""
-    from softmap_edge.diagnosis.comparison import compare as measure
-    from softmap_edge.diagnosis.series import series
+    from softmap_edge.comparison.comparison import compare as measure
+    from softmap_edge.comparison.series import series
     from softmap_edge.report.html import write_html
 
     two = after is not None and after is not before

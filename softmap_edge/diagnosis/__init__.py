@@ -1,1 +1,1 @@
-"""How far off a model is, where, and which effect explains it."""
+"""Name the effect that a model lacks: its family first, then its law."""

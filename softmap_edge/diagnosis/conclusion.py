@@ -12,10 +12,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from softmap_edge.checks.collinear import collinear_conditions
 from softmap_edge.diagnosis import decision as rule
+from softmap_edge.diagnosis.behind_residual import Masked
 from softmap_edge.diagnosis.certificate import Certified
 from softmap_edge.diagnosis.changing import Change, changing
-from softmap_edge.diagnosis.collinear import collinear_conditions
 from softmap_edge.diagnosis.evidence import (
     by_condition,
     equivalents,
@@ -39,7 +40,6 @@ from softmap_edge.diagnosis.findings import (
 from softmap_edge.diagnosis.fit import Fit
 from softmap_edge.diagnosis.fits import Fits
 from softmap_edge.diagnosis.fitted import parameters, refitted, shift_on
-from softmap_edge.diagnosis.masked import Masked
 from softmap_edge.diagnosis.outcome import Outcome, Step
 from softmap_edge.diagnosis.prepare import load_seen
 from softmap_edge.diagnosis.record import Record

@@ -19,29 +19,29 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge import _core
+from softmap_edge.alignment.base_motion import excluded
+from softmap_edge.checks.advice import asked
 from softmap_edge.diagnosis.acceptance import motion_mm
-from softmap_edge.diagnosis.advice import asked
-from softmap_edge.diagnosis.base_motion import excluded
+from softmap_edge.diagnosis.behind_residual import masked
 from softmap_edge.diagnosis.certificate import certified
+from softmap_edge.diagnosis.clean import sound_record, stray
 from softmap_edge.diagnosis.conclusion import Context, conclude
 from softmap_edge.diagnosis.decision import ORDINARY, UNKNOWN_TIMES, VISIBLE_MM
-from softmap_edge.diagnosis.declared import strange, wrong_load, wrong_sign
 from softmap_edge.diagnosis.document import Diagnosis, with_error
 from softmap_edge.diagnosis.evidence import equivalents, experiment, shown, unseen
 from softmap_edge.diagnosis.findings import Number, plain
 from softmap_edge.diagnosis.fit import Fit, Problem
 from softmap_edge.diagnosis.fits import Fits, carried
 from softmap_edge.diagnosis.fitted import parameters
-from softmap_edge.diagnosis.masked import masked
 from softmap_edge.diagnosis.outcome import Outcome
 from softmap_edge.diagnosis.prepare import candidates_of, problem_of
 from softmap_edge.diagnosis.record import Record
 from softmap_edge.diagnosis.records import record_of
 from softmap_edge.diagnosis.search import search
-from softmap_edge.diagnosis.servo import servos
-from softmap_edge.diagnosis.sound import sound_record, stray
+from softmap_edge.diagnosis.servo_lag import servos
 from softmap_edge.diagnosis.taught import Taught, with_unknown
 from softmap_edge.diagnosis.wording import OwnMisfit
+from softmap_edge.diagnosis.wrong_declarations import strange, wrong_load, wrong_sign
 from softmap_edge.errors import SoftmapError
 from softmap_edge.model.learned_in import LearnedNumber
 from softmap_edge.model.servo_calibration import converted

@@ -158,7 +158,7 @@ class Diagnosis:
         return params
 
     def __str__(self) -> str:
-        from softmap_edge.report.text import diagnosis_text
+        from softmap_edge.diagnosis.text import diagnosis_text
 
         return diagnosis_text(self.to_dict())
 

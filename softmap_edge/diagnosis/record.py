@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from softmap_edge.diagnosis.base_motion import FRAME, BaseMotion, base_of, bounded
+from softmap_edge.alignment.base_motion import FRAME, BaseMotion, base_of, bounded
 from softmap_edge.diagnosis.paired import Replay, pair
 from softmap_edge.diagnosis.spools import RADIUS, Spool, spool_of, with_radius
 from softmap_edge.errors import SoftmapError

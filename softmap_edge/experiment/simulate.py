@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from softmap_edge.diagnosis.clean import sound
 from softmap_edge.diagnosis.decision import VISIBLE_MM
 from softmap_edge.diagnosis.document import Diagnosis
 from softmap_edge.diagnosis.findings import Alternative
@@ -25,7 +26,6 @@ from softmap_edge.diagnosis.prepare import problem_of
 from softmap_edge.diagnosis.record import Record
 from softmap_edge.diagnosis.records import record_of
 from softmap_edge.diagnosis.separate import families_of
-from softmap_edge.diagnosis.sound import sound
 from softmap_edge.errors import SoftmapError
 from softmap_edge.experiment.blocks import BLOCKS, Block, Setting, plan
 from softmap_edge.noise.noise_model import FLOOR, Noise

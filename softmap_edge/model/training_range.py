@@ -106,7 +106,8 @@ def unlike(model: Model, mae: Floats) -> list[str]:
     """Return a sentence where shapes are like none that the model makes at any command.
 
     Args:
-        mae: (K,) mm, mean absolute error of each frame to the nearest shape (`alignment/matching.py`); NaN: not known.
+        mae: (K,) mm, mean absolute error of each frame to the nearest shape (`calibration/matching.py`); NaN: not
+        known.
     """
     known, limit = mae[np.isfinite(mae)], UNLIKE * float(np.linalg.norm(model.rest, axis=1).max())
     count = int((known > limit).sum())

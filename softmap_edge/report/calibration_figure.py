@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from softmap_edge.report.figures import AFTER, BEFORE, FAINT, FLOOR, INK, STYLE, WIDE, svg
 
 if TYPE_CHECKING:
-    from softmap_edge.alignment.calibrated import Calibrated
+    from softmap_edge.calibration.found import Calibrated
 
 Floats = NDArray[np.float64]
 

@@ -22,11 +22,11 @@ from matplotlib.colors import LinearSegmentedColormap, Normalize
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from softmap_edge.diagnosis.series import Series
+from softmap_edge.comparison.series import Series
+from softmap_edge.comparison.text import WHERE
+from softmap_edge.diagnosis.text import ladder_steps
 from softmap_edge.files.numbers import mm
-from softmap_edge.report.comparison_text import WHERE
 from softmap_edge.report.in_unit import PLACES
-from softmap_edge.report.text import ladder_steps
 
 Floats = NDArray[np.float64]
 

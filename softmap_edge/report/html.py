@@ -13,18 +13,11 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from softmap_edge.diagnosis.comparison import Comparison
+from softmap_edge.comparison.comparison import Comparison
+from softmap_edge.comparison.series import Series
+from softmap_edge.comparison.text import check_pair
 from softmap_edge.diagnosis.document import VERDICTS, Diagnosis
-from softmap_edge.diagnosis.series import Series
-from softmap_edge.errors import ReportError
-from softmap_edge.files.atomic import write_whole
-from softmap_edge.files.numbers import fall, mm, number, percent, tamed
-from softmap_edge.report.comparison_text import check_pair
-from softmap_edge.report.families import family_section, learned_section
-from softmap_edge.report.html_open import open_questions
-from softmap_edge.report.in_unit import PLACES, comparison_in_unit, in_unit, series_in_unit, unit_of
-from softmap_edge.report.style import PAGE, TONES, cards, escaped, picture, section
-from softmap_edge.report.text import (
+from softmap_edge.diagnosis.text import (
     LADDER_NOTE,
     OUTPUT_NOTE,
     STATIC_ADDED,
@@ -34,6 +27,13 @@ from softmap_edge.report.text import (
     moved_by,
     parameter,
 )
+from softmap_edge.errors import ReportError
+from softmap_edge.files.atomic import write_whole
+from softmap_edge.files.numbers import fall, mm, number, percent, tamed
+from softmap_edge.report.families import family_section, learned_section
+from softmap_edge.report.html_open import open_questions
+from softmap_edge.report.in_unit import PLACES, comparison_in_unit, in_unit, series_in_unit, unit_of
+from softmap_edge.report.style import PAGE, TONES, cards, escaped, picture, section
 
 INSTALL = "pip install 'softmap-edge[report]'"
 

@@ -15,9 +15,9 @@ from softmap_edge.files.numbers import mm
 from softmap_edge.run.output import Output
 
 if TYPE_CHECKING:
-    from softmap_edge.diagnosis.comparison import Comparison
+    from softmap_edge.comparison.comparison import Comparison
+    from softmap_edge.comparison.series import Series
     from softmap_edge.diagnosis.findings import Bin
-    from softmap_edge.diagnosis.series import Series
 
 PLACES = "mm"  # the unit of a run of places
 _RMS = re.compile(r"((?:\d+\.?\d* (?:to|and|of) )?)(\d+\.?\d*) mm RMS")

@@ -14,7 +14,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from softmap_edge.diagnosis.series import Loop, Series
+from softmap_edge.comparison.series import Loop, Series
 from softmap_edge.report.figures import AFTER, BEFORE, FAINT, INK, PALE, STYLE, WIDE, clean, svg
 from softmap_edge.report.in_unit import PLACES
 from softmap_edge.report.style import escaped, picture, section

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from softmap_edge.diagnosis.text import alternative_name
 from softmap_edge.files.numbers import folded
-from softmap_edge.report.text import alternative_name
 
 
 def progress_lines(before: Mapping[str, Any] | None, after: Mapping[str, Any]) -> list[str]:

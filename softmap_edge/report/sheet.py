@@ -16,7 +16,7 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from softmap_edge.diagnosis.series import Pose, Series
+from softmap_edge.comparison.series import Pose, Series
 from softmap_edge.files.numbers import mm
 from softmap_edge.report.figures import ERROR_MAP, FAINT, INK, PALE, STYLE, WIDE, png, rms, vertex_normals
 

@@ -19,8 +19,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from softmap_edge import _core
-from softmap_edge.diagnosis.base_motion import kept_places
-from softmap_edge.diagnosis.lost import without_lost
+from softmap_edge.alignment.base_motion import kept_places
+from softmap_edge.checks.lost_points import without_lost
 from softmap_edge.errors import RunError, SoftmapError
 from softmap_edge.model.coverage import Coverage, apart, said_apart
 from softmap_edge.model.elastic_rod import ElasticParameters

@@ -21,8 +21,8 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from softmap_edge.elsewhere.scattered import fit_scattered, half_range
 from softmap_edge.model.shapes import family_from
+from softmap_edge.sweep.scattered import fit_scattered, half_range
 from softmap_training import choices
 from softmap_training.errors import TrainingError
 

@@ -24,13 +24,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge import _core
-from softmap_edge.alignment.clouds import base_stood_off, in_base
+from softmap_edge.alignment.base_in_clouds import base_stood_off, in_base
+from softmap_edge.alignment.clouds import clouds_of
+from softmap_edge.alignment.register import register
+from softmap_edge.fem.finger import Finger
+from softmap_edge.fem.simulator import Simulator, Template, tour
 from softmap_edge.model.model import Model
-from softmap_edge.registration.clouds import clouds_of
-from softmap_edge.registration.register import register
 from softmap_edge.run.run import Run
-from softmap_edge.solid.finger import Finger
-from softmap_edge.solid.simulator import Simulator, Template, tour
 from softmap_training.errors import TrainingError
 
 Floats = NDArray[np.float64]

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from softmap_edge.alignment.matching import match
+from softmap_edge.calibration.matching import match
 from softmap_edge.commands.output import check_file
 from softmap_edge.commands.own import effects_argument, load_own, open_model
 from softmap_edge.commands.progress import Bar
@@ -172,7 +172,7 @@ def _on_set(
     args: argparse.Namespace, models: dict[str, Any], asked: list[str], bar: Callable[[str, float], None],
     warnings: list[str],
 ) -> list[Row]:  # fmt: skip
-    from softmap_edge.solid.finger import Finger
+    from softmap_edge.fem.finger import Finger
     from softmap_training.simulated import SimulatedSet
 
     data = SimulatedSet.load(args.set)

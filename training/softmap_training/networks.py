@@ -15,7 +15,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from softmap_edge.elsewhere.scattered import NARROW, half_range
+from softmap_edge.sweep.scattered import NARROW, half_range
 
 Floats = NDArray[np.float64]
 

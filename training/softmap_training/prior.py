@@ -27,14 +27,14 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from softmap_edge import _core
+from softmap_edge.alignment.register import clamped
+from softmap_edge.fem.simulator import tensor_grid
 from softmap_edge.files.npz import unpacked
 from softmap_edge.geometry.sections import tip_of
 from softmap_edge.model.model import Arrays, Model
 from softmap_edge.model.onnx import elsewhere, run_elsewhere
 from softmap_edge.model.shapes import family_from
 from softmap_edge.model.training_range import BEYOND, UNLIKE, span
-from softmap_edge.registration.register import clamped
-from softmap_edge.solid.simulator import tensor_grid
 from softmap_training import baselines, encodings
 from softmap_training.choices import PRIOR_MODES, PRIOR_WIDTHS, PriorKind, Recipe, prior_recipe
 from softmap_training.deepsoro import fit_deepsoro

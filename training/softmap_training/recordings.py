@@ -1,7 +1,7 @@
 """Recordings that teach on top of a model, as one lesson: what the model makes of each frame, and what was seen.
 
-Clouds are brought into the frame of their base where it clearly stands off (`alignment/clouds.py`), and the template is
-laid onto them, run by run. Units: mm. Pinned by tests/test_evaluate.py and tests/test_residual_network.py.
+Clouds are brought into the frame of their base where it clearly stands off (`alignment/base_in_clouds.py`), and the
+template is laid onto them, run by run. Units: mm. Pinned by tests/test_evaluate.py and tests/test_residual_network.py.
 """
 
 from __future__ import annotations
@@ -12,12 +12,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from softmap_edge.alignment.clouds import base_stood_off, in_base
-from softmap_edge.alignment.matching import weighted
+from softmap_edge.adaptation.residual import APART, strangers
+from softmap_edge.alignment.base_in_clouds import base_stood_off, in_base
+from softmap_edge.alignment.clouds import clouds_of
+from softmap_edge.alignment.register import register
+from softmap_edge.calibration.matching import weighted
 from softmap_edge.model.model import Model
-from softmap_edge.registration.clouds import clouds_of
-from softmap_edge.registration.register import register
-from softmap_edge.residual import APART, strangers
 from softmap_edge.run.folds import Folds, run_folds
 from softmap_edge.run.run import Run
 from softmap_training import choices

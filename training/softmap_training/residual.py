@@ -26,9 +26,9 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from softmap_edge import _core
+from softmap_edge.alignment.register import clamped
 from softmap_edge.model.model import Model
 from softmap_edge.model.training_range import span
-from softmap_edge.registration.register import clamped
 from softmap_edge.run.folds import Folds
 from softmap_edge.run.run import Run
 from softmap_training import choices

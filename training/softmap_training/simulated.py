@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from softmap_edge.errors import SimulationError
-from softmap_edge.solid.simulator import Sweep
+from softmap_edge.fem.simulator import Sweep
 from softmap_training.store import SPLIT, Store, open_store
 
 Floats = NDArray[np.float64]

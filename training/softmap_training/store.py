@@ -26,9 +26,9 @@ import zarr
 from numpy.typing import NDArray
 
 from softmap_edge.errors import SimulationError, SoftmapError, brief
-from softmap_edge.solid.bodies import Meshed
-from softmap_edge.solid.finger import Finger
-from softmap_edge.solid.simulator import UNITS, Template, tensor_grid
+from softmap_edge.fem.bodies import Meshed
+from softmap_edge.fem.finger import Finger
+from softmap_edge.fem.simulator import UNITS, Template, tensor_grid
 from softmap_edge.version import __version__
 
 Floats = NDArray[np.float64]

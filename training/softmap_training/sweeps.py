@@ -22,9 +22,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.errors import SimulationError, SoftmapError, brief
-from softmap_edge.solid.bodies import Meshed
-from softmap_edge.solid.finger import Finger
-from softmap_edge.solid.simulator import Simulator, tour
+from softmap_edge.fem.bodies import Meshed
+from softmap_edge.fem.finger import Finger
+from softmap_edge.fem.simulator import Simulator, tour
 from softmap_training.store import Store, attributes_of, make, open_store
 
 Floats = NDArray[np.float64]

@@ -36,7 +36,7 @@ from softmap_edge.robot.servo.loop_limits import loop_limits, servo_limits
 from softmap_edge.robot.servo.models import servo_model
 from softmap_edge.robot.servo.rig import Rig, RigServo
 from softmap_edge.run.rest_command import home_command
-from softmap_edge.truth import check_hidden
+from softmap_edge.synthetic.finger import check_hidden
 
 Floats = NDArray[np.float64]
 

@@ -1,1 +1,1 @@
-"""The robot's servos: the rig they belong to, what they are allowed, and the loop that drives them."""
+"""The servos of a rig: their bus, registers, limits, and what keeps them from a start."""

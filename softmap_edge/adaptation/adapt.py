@@ -1,0 +1,228 @@
+"""Adapt a model to recordings: physics first, a residual on what physics leaves.
+
+    clouds ─registration─> vertices     ticks ─calibration─> commands
+    diagnose ─> add what is missing ─> learn a residual of the rest ─> judge, each alone and both together
+
+A residual is a function of the command alone. What depends on how a command was reached it cannot learn, and what it
+can stands in for physics only under the conditions of its runs; so it comes last, and stays only where it surely lowers
+the error on blocks that were left out. Rivals of what is added are told: on these runs they would do as well.
+Calibration is fitted without the effects, so that gain, offset or coupling found after it may be a correction of it.
+Units: mm. Pinned by tests/test_adaptation.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from softmap_edge.adaptation.residual import ROWS, learn_residual
+from softmap_edge.alignment.base_in_clouds import base_stood_off, in_base
+from softmap_edge.alignment.register import register
+from softmap_edge.calibration.calibration import calibrate
+from softmap_edge.calibration.found import Calibrated
+from softmap_edge.comparison.comparison import compare
+from softmap_edge.diagnosis.diagnose import diagnose
+from softmap_edge.diagnosis.document import Diagnosis
+from softmap_edge.errors import CalibrationError, SoftmapError
+
+if TYPE_CHECKING:
+    from softmap_edge.model.model import Model
+    from softmap_edge.run.run import Run
+
+SCHEMA = "softmap.adaptation/1"
+WAYS = ("as it stood", "residual alone", "physics alone", "physics, then residual")
+FAULT = "measurement_fault"
+SURE = 2.0  # standard errors by which a residual lowers the error on left-out blocks; a smaller gain is noise
+
+
+@dataclass(frozen=True, eq=False)
+class Adaptation:
+    """What an adaptation found: the new `model`, and what each step said.
+
+    `before` is the model that was adapted, with its calibration; `error` holds RMS distances in mm of the four WAYS
+    on what taught none of them, None where one was not tried; `fall` by which share the error fell. `judge` is what
+    it was measured on, `runs` what taught; clouds are vertices there. Prints itself; `to_dict()` is
+    softmap.adaptation/1.
+    """
+
+    model: Model
+    before: Model
+    calibration: Calibrated | None
+    diagnosis: Diagnosis | None
+    residual: dict[str, Any]
+    error: dict[str, float | None]
+    error_on: str
+    judge: Run
+    runs: list[Run]
+
+    @property
+    def added(self) -> bool:
+        """Whether physics was added."""
+        return self.model.chain_names != self.before.chain_names
+
+    @property
+    def last(self) -> float:
+        """The error in mm RMS of the model as it is now."""
+        value = self.error[WAYS[2 * self.added + (self.model.residual is not None)]]
+        assert value is not None
+        return value
+
+    @property
+    def fall(self) -> float:
+        """By which share the error fell."""
+        first = self.error[WAYS[0]]
+        assert first is not None
+        return 1.0 - self.last / first if first > 0 else 0.0
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the document softmap.adaptation/1: plain numbers, strings, lists and dicts."""
+        kept = self.model.residual is not None
+        return {
+            "schema": SCHEMA,
+            "error": {
+                "kind": "held-out rms", "unit": "mm", "on": self.error_on, "fall_share": self.fall,
+                "ways": [{"way": way, "value": self.error[way]} for way in WAYS],
+            },
+            "calibration": None if self.calibration is None else self.calibration.to_dict(),
+            "diagnosis": None if self.diagnosis is None else self.diagnosis.to_dict(),
+            "residual": {"kept": kept, **self.residual},
+            "effects": self.model.params,
+        }  # fmt: skip
+
+    def __str__(self) -> str:
+        lines = []
+        if self.calibration is not None:
+            lines += [str(self.calibration), ""]
+        if self.diagnosis is not None:
+            lines.append(self.diagnosis.sentence)
+            lines += [f"  {label:<24} {value:.6g}" for label, value in self.model.params.items()]
+        lines.append(_of_residual(self.residual, self.model.residual is not None))
+        alone = self.error[WAYS[2 * self.added]]
+        if self.model.residual is not None and alone is not None and self.last > alone:
+            lines.append("  it does not help on the run that judges")
+        lines += ["", f"error, mm RMS, {self.error_on}"]
+        lines += [f"  {way:<24} {value:.3f}" for way, value in self.error.items() if value is not None]
+        share = f"{100 * abs(self.fall):.0f} %"
+        lines.append(f"  {share} of the error are gone" if self.fall >= 0 else f"  the error is {share} larger")
+        return "\n".join([*lines, *(f"  look at: {text}" for text in self.residual.get("warnings", []))])
+
+
+def _of_residual(told: dict[str, Any], kept: bool) -> str:
+    if "why" in told:
+        return f"no residual: {told['why']}"
+    every = "" if told["frames"] == told["of_frames"] else f" of {told['of_frames']} (whole ones, {ROWS} at most)"
+    line = f"residual of {told['size_mm']:.2f} mm RMS over the command, learned from {told['frames']} frames{every}"
+    return line if kept else f"{line}: left out, it does not surely lower what was held out"
+
+
+def adapt(
+    model: Model,
+    run: Run | Sequence[Run],
+    held_out: Run | None = None,
+    physics: bool = True,
+    told: Callable[[str], None] | None = None,
+) -> Adaptation:
+    """Calibrate a model, add the physics that it lacks, and learn a residual of the rest.
+
+    Args:
+        model: an earlier residual is learned anew; effects that it has stay.
+        run: one recording or several of the robot, of vertices, clouds or the model's markers. Ticks are calibrated
+            with the first run that holds enough commands for it, unless the model knows them already.
+        held_out: a recording that teaches nothing and judges all ways; without it blocks of the runs are held out.
+        physics: look for missing effects; without, the residual stands in for them.
+        told: hears what goes on, a line each.
+
+    Returns:
+        Adaptation: the new model, what each step said, and the error of each way.
+
+    Raises:
+        SoftmapError: the measurement is at fault, too few frames, or runs of another robot.
+    """
+    say = told or (lambda line: None)
+    runs = list(run) if isinstance(run, Sequence) else [run]
+    base = model.with_residual(None)
+    if not runs:
+        raise SoftmapError("no run is given; an adaptation needs at least one")
+    if held_out is not None and held_out.hash() in [one.hash() for one in runs]:
+        raise SoftmapError(
+            "the held-out run is used for learning too, so it validates nothing; give an independent run"
+        )
+    base, calibration = _calibrated(base, runs, say)
+    shown = [_shown(base, one, say) for one in runs]
+    found = _missing(base, shown, say) if physics else None
+    better = base if found is None else found.model
+    say("learning what is left, as a smooth field of the command")
+    added = better.chain_names != base.chain_names
+    rest, residual = _rest(better, shown, added)
+    kept = rest is not None and residual["gain_in_se"] > SURE
+    if held_out is None:
+        judge, error, on = shown[0], _on_blocks(found, residual), _blocks(found)
+    else:
+        judge, on = _shown(base, held_out, say), "a run that taught nothing, points that were seen"
+        alone = rest if found is None else _rest(base, shown, True)[0]
+        ways = [base, alone, *([None, None] if found is None else [better, rest])]
+        error = {way: None if m is None else compare(m, judge).error["rms_mm"] for way, m in zip(WAYS, ways)}
+    model = rest if kept and rest is not None else better
+    return Adaptation(model, base, calibration, found, residual, error, on, judge, shown)
+
+
+def _rest(model: Model, runs: Sequence[Run], spare: bool) -> tuple[Model | None, dict[str, Any]]:
+    """Return the model with a residual and what is told of it; None and why where runs teach none, if it is spare."""
+    try:
+        return learn_residual(model, runs)
+    except SoftmapError as fault:
+        if not spare:
+            raise
+        return None, {"why": str(fault)}
+
+
+def _shown(model: Model, run: Run, say: Callable[[str], None]) -> Run:
+    """Return a run of clouds as vertices of the template, in the frame of their base; another as it is."""
+    if run.points is None:
+        return run
+    run, off = in_base(run, model)
+    if off is not None:
+        say(base_stood_off(off.pose))
+    say(f"laying the template onto {run.frames} clouds")
+    return register(model, run).run(run)
+
+
+def _calibrated(model: Model, runs: Sequence[Run], say: Callable[[str], None]) -> tuple[Model, Calibrated | None]:
+    """Return the model with a calibration where runs have ticks and it has none yet, from the first run that tells."""
+    ticks = [run for run in runs if run.ticks is not None or run.present_ticks is not None]
+    if model.calibration is not None or not any(run.command is None for run in ticks):
+        return model, None
+    faults = []
+    for run in ticks:
+        try:
+            say("finding what the ticks are in commands")
+            found = calibrate(model, run)
+            return found.model, found
+        except CalibrationError as fault:
+            faults.append(fault)
+    raise faults[0]
+
+
+def _missing(model: Model, runs: Sequence[Run], say: Callable[[str], None]) -> Diagnosis:
+    say("looking for what the model lacks")
+    found = diagnose(model, runs, progress=lambda line: say(f"  {line}"))
+    if found.verdict == FAULT and not found.effects and not found.faults:
+        raise SoftmapError(f"nothing is learned from a measurement that is at fault. {found.sentence}")
+    return found
+
+
+def _blocks(found: Diagnosis | None) -> str:
+    if found is None:
+        return "blocks of the runs that were left out, points that were seen"
+    return "blocks of the runs that were left out, middles of sections or markers; a residual is a polynomial there"
+
+
+def _on_blocks(found: Diagnosis | None, residual: dict[str, Any]) -> dict[str, float | None]:
+    """Return the errors of the ways on blocks that were left out, as diagnosis or residual measured them."""
+    if found is None:
+        both: list[float | None] = [residual["before_rms_mm"], residual["after_held_out_rms_mm"], None, None]
+        return dict(zip(WAYS, both))
+    error = found.to_dict()["error"]
+    physics = error["ladder"][-1]["value"] if error["ladder"] else error["model"]
+    return dict(zip(WAYS, (error["model"], error["static_residual"], physics, error["with_static_residual"])))

@@ -1,0 +1,207 @@
+"""A residual: a smooth static correction over the command, learned from a run on top of a model and its effects.
+
+    points(u_eff) = prior(u_eff) + Σ cₖ·Sₖ(u_eff) + residual(u_eff),    residual = mean + modes · a(u_eff)
+
+What a model misses is reduced to at most MODES modes that the commands predict; their weights a(u) are radial basis
+functions of the commands that act, smoothed as much as lowers the error on what is left out
+(`sweep/scattered.py`). It knows nothing of direction, speed, orientation or load: it stands in for every static
+effect under the conditions of its run, and tells none of them apart. Points that the prior holds still stay where they
+are. A residual belongs to the effects that it was learned with: when those change it is dropped, and diagnoses take it
+out (`diagnosis/behind_residual.py`).
+Vertices laid onto clouds are whole: what was not seen stands where registration wants it (0.17 mm on two views of the
+virtual finger), and judges nothing.
+Units: mm. Limits: frames in which a tracked point is hidden teach nothing; beyond the run's commands it extrapolates.
+Pinned by tests/test_residual.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softmap_edge.errors import SoftmapError
+from softmap_edge.model.shapes import family_from
+from softmap_edge.model.training_range import span
+from softmap_edge.model.views import laid
+from softmap_edge.run.folds import Folds, run_folds
+from softmap_edge.run.run import known
+from softmap_edge.sweep.scattered import fit_scattered, half_range
+
+if TYPE_CHECKING:
+    from softmap_edge.model.model import Arrays, Model
+    from softmap_edge.run.run import Run
+
+Floats = NDArray[np.float64]
+Missed = tuple[Floats, Floats, NDArray[np.bool_]]  # commands (S, C), what is missed (S, 3N) mm, points seen (S, N)
+
+MODES = 8  # of what is missed, at most
+PREDICTED = 0.1  # of the mean square of a mode's weights on held-out blocks: with less it is noise, and dropped
+NODES = 64  # of the radial basis functions
+ROWS, NUMBERS = 600, 40_000_000  # frames, and numbers of them (320 MB), at most that are looked at, spread evenly
+LAID_SEEN = 0.3  # share of the vertices that a cloud must show for its frame to be whole
+LEAST_FRAMES, LEAST_PLACES = 30, 3  # frames that show every point; different commands for each channel and one more
+APART = 60.0  # s between runs, so that none is held out with another
+LEAST_ALIKE, WORSE = 8, 1.1  # frames of a run at commands of the others, and times its error, to be told as a stranger
+CLOSE = 0.002  # of half the range of the commands: nearer commands are one place
+STILL = 1e-3  # of the largest motion: points of the prior that move less are held
+
+
+def learn_residual(model: Model, run: Run | Sequence[Run]) -> tuple[Model, dict[str, Any]]:
+    """Learn a residual from what a model misses on a run.
+
+    Args:
+        model: prior and effects stay as they are; an earlier residual is replaced.
+        run: one run or several, with the model's own points (vertices, or the same markers) at K >= 30 whole frames;
+            of vertices laid onto clouds those that were not seen count too, where registration wants them.
+
+    Returns:
+        tuple: the model with its residual, and a document with the error before and after (held out on blocks), mm RMS,
+        and how many standard errors the mean fall of its square over the blocks is above 0.
+
+    Raises:
+        SoftmapError: too few whole frames or different commands, points that are not the model's own.
+    """
+    base = model.with_residual(None)
+    runs = list(run) if isinstance(run, Sequence) else [run]
+    each, times = _missed(base, runs)
+    commands, missed, seen = (np.concatenate(rows) for rows in zip(*each))
+    taught = missed * ~_still(base, commands)
+    parts = run_folds(times)
+    count = _predicted(commands, taught, parts)
+    left, gains = missed.copy(), []
+    for train, test in parts:
+        left[test] -= family_from(_fitted(commands[train], taught[train], count)).evaluate(commands[test])
+        gains.append(_rms(missed[test], seen[test]) ** 2 - _rms(left[test], seen[test]) ** 2)
+    arrays = _fitted(commands, taught, count)
+    found = base.with_residual(arrays)
+    report = {
+        "frames": len(missed),
+        "of_frames": sum(one.frames for one in runs),
+        "modes": count,
+        "size_mm": _rms(family_from(arrays).evaluate(commands)),
+        "before_rms_mm": _rms(missed, seen),
+        "after_held_out_rms_mm": _rms(left, seen),
+        "gain_in_se": float(np.mean(gains) / max(np.std(gains, ddof=1) / np.sqrt(len(gains)), 1e-12)),
+        "command_range": span(commands),
+        "warnings": strangers(each),
+    }
+    made = dict(base.made_from) | {"residual": {"run": [one.hash() for one in runs], **report}}
+    return replace(found, made_from=made), report
+
+
+def strangers(runs: Sequence[Missed]) -> list[str]:
+    """Say which of several runs miss other things than the rest, so that what the rest teaches makes them worse."""
+    notes = []
+    for k, (commands, missed, seen) in enumerate(runs if len(runs) > 1 else ()):
+        others = [run for number, run in enumerate(runs) if number != k]
+        u, theirs, _ = (np.concatenate(rows) for rows in zip(*others))
+        within = np.flatnonzero(((commands >= u.min(axis=0)) & (commands <= u.max(axis=0))).all(axis=1))
+        some = np.unique(np.linspace(0, len(u) - 1, min(len(u), ROWS)).astype(int))
+        if len(within) < LEAST_ALIKE or not seen[within].any():
+            continue
+        try:
+            rest = family_from(_fitted(u[some], theirs[some], MODES)).evaluate(np.ascontiguousarray(commands[within]))
+        except SoftmapError:  # too few different commands to say
+            continue
+        before, after = (_rms(left, seen[within]) for left in (missed[within], missed[within] - rest))
+        if after > WORSE * before:
+            notes.append(
+                f"run {k + 1} of {len(runs)}: what the model misses on the other runs makes this one worse "
+                f"({before:.2f} → {after:.2f} mm RMS): another robot, load or orientation; teach with runs of one state"
+            )
+    return notes
+
+
+def _missed(base: Model, runs: Sequence[Run]) -> tuple[list[Missed], Floats]:
+    """Return of the whole frames of each run what is missed, and the times (S,) s of all."""
+    if not runs:
+        raise SoftmapError("no run is given; a residual is learned from at least one")
+    each, times, end = list[Missed](), list[Floats](), 0.0
+    room = max(LEAST_FRAMES, min(ROWS, NUMBERS // base.rest.size) // len(runs))
+    for run in runs:
+        seen = base.points_in_mm(run)
+        if seen.shape[1] != len(base.rest) or (run.markers is not None and not base.markers):
+            raise SoftmapError(
+                f"the run shows {seen.shape[1]} markers on a model of {len(base.rest)} points: what lies between them "
+                "is not seen, so no residual can be learned; use a run of vertices, or a rod learned from markers"
+            )
+        visible = known(run, seen)
+        least = LAID_SEEN if laid(run) else 1.0
+        whole = np.flatnonzero(visible.mean(axis=1) >= least)
+        some = run.at(whole[np.unique(np.linspace(0, len(whole) - 1, min(len(whole), room)).astype(int))])
+        if not some.frames:
+            continue
+        points = base.points_in_mm(some)
+        missed = (points - base.predict(some)).reshape(some.frames, -1)
+        each.append((base.acts(some), missed, known(some, points)))
+        times.append(some.t_seen - some.t_seen[0] + end)
+        end = float(times[-1][-1]) + APART
+    frames = sum(len(t) for t in times)
+    if frames < LEAST_FRAMES:
+        raise SoftmapError(
+            f"{frames} frames show every point, at least {LEAST_FRAMES} are needed to learn a residual; record more, "
+            "or from a side from which all is seen"
+        )
+    return each, np.concatenate(times)
+
+
+def _still(base: Model, commands: Floats) -> NDArray[np.bool_]:
+    """Return which of the 3N numbers belong to points that the prior holds still, as a clamp does."""
+    moved = np.ptp(base.prior.evaluate(commands).reshape(len(commands), -1, 3), axis=0).max(axis=1)
+    return np.repeat(moved < STILL * float(moved.max(initial=0.0)), 3)
+
+
+def _reduced(taught: Floats, count: int) -> tuple[Floats, Floats]:
+    """Return mean (3N,) and modes (count, 3N) of values (S, 3N); both are zero where nothing is taught."""
+    mean = taught.mean(axis=0)
+    modes = np.linalg.svd(taught - mean, full_matrices=False)[2][:count]
+    return mean, np.where(np.any(taught != 0.0, axis=0), modes, 0.0)
+
+
+def _predicted(commands: Floats, taught: Floats, parts: Folds) -> int:
+    """Return how many modes, at least one, there are up to the last whose weights commands predict on other blocks."""
+    mean, modes = _reduced(taught, MODES)
+    weights = (taught - mean) @ modes.T
+    told = np.zeros_like(weights)
+    for train, test in parts:
+        alone = _fitted_weights(commands[train], weights[train])
+        alone |= {"mean": np.zeros(len(modes)), "modes": np.eye(len(modes))}
+        told[test] = family_from(alone).evaluate(commands[test])
+    kept = np.sum((weights - told) ** 2, axis=0) < (1.0 - PREDICTED) * np.sum(weights**2, axis=0)
+    return 1 + int(np.flatnonzero(kept).max(initial=0))
+
+
+def _fitted(commands: Floats, taught: Floats, count: int) -> Arrays:
+    """Return the arrays of a scattered family of `count` modes for values (S, 3N) at commands (S, C)."""
+    mean, modes = _reduced(taught, count)
+    arrays = _fitted_weights(commands, (taught - mean) @ modes.T)
+    return arrays | {"mean": mean.astype(np.float32), "modes": modes.astype(np.float32)}
+
+
+def _fitted_weights(commands: Floats, weights: Floats) -> Arrays:
+    """Return the arrays of a scattered family, less its modes, for weights (S, m) at commands (S, C)."""
+    scale = half_range(commands)
+    _, first, place = np.unique(np.round(commands / scale / CLOSE), axis=0, return_index=True, return_inverse=True)
+    place, wanted = place.reshape(-1), LEAST_PLACES * (commands.shape[1] + 1)
+    if len(first) < wanted:
+        raise SoftmapError(
+            f"{len(first)} different commands are too few for a residual of {commands.shape[1]} channels; record "
+            f"at least {wanted}"
+        )
+    count = np.bincount(place)[:, None]
+    sums = np.zeros((len(first), weights.shape[1]))
+    np.add.at(sums, place, weights)
+    middle = np.zeros((len(first), commands.shape[1]))
+    np.add.at(middle, place, commands)
+    order = np.argsort(first)  # as they were recorded: neighbours in time vouch for one another
+    return fit_scattered((middle / count)[order], (sums / count)[order], NODES).arrays
+
+
+def _rms(numbers: Floats, seen: NDArray[np.bool_] | None = None) -> float:
+    """Return the RMS distance in mm of points (S, 3N), of those that were `seen` (S, N)."""
+    squares = np.sum(numbers.reshape(len(numbers), -1, 3) ** 2, axis=2)
+    return float(np.sqrt(np.mean(squares if seen is None else squares[seen])))

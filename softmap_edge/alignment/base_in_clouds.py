@@ -1,0 +1,204 @@
+"""Where the base stands in the frame of clouds: a rigid pose that all frames share, told by the body near the clamp.
+
+    min Σ_k Σ_i ρ(|q_i − S_k|),  q = R p + t    p: points of cloud k near the base, S_k: the surface at u_k + Δu
+
+Near the clamp a finger hardly bends, whatever the model lacks; a base that stands elsewhere moves all of that alike.
+A command that is off by a constant bends it there too, and is fitted beside the pose. Roll and height stay as they
+are: a round body shows neither. Groups of frames say how well the others are known.
+Units: mm, rad; degrees in what is told.
+Limit: what the model lacks within ZONE of the clamp is taken for the frame. Pinned by tests/test_align.py.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softmap_edge import _core
+from softmap_edge.alignment.checks import student
+from softmap_edge.alignment.clouds import clouds_of
+from softmap_edge.alignment.result import Alignment
+from softmap_edge.errors import AlignError
+from softmap_edge.geometry.rigid import Pose, jacobian, rotation, rotation_vector
+from softmap_edge.model.orientation import priors_in
+
+if TYPE_CHECKING:
+    from softmap_edge.model.model import Model
+    from softmap_edge.run.run import Run
+
+Floats = NDArray[np.float64]
+
+RIM, ZONE = 0.03, 0.25  # of the template's height: between them lies the part that tells the base
+WIDER = 1.3  # times ZONE: the surface that its points are held against
+GATE = 8.0  # mm from the surface, beyond which a point is something else
+FRAMES, POINTS = 96, 400  # that are looked at, at most: frames, and points of each
+LEAST = 200  # points near the base, of all frames
+GROUPS = 8
+ROUNDS, SETTLED = 30, 1e-5
+TUKEY, TO_SIGMA = 4.685, 1.4826
+TOLD = [0, 1, 3, 4]  # of turns and shifts: roll and height hardly show
+CLEAR, LEAST_OFF = 4.0, 0.2  # standard deviations, and mm at the tip, from which a base stands elsewhere
+
+
+def align_clouds(run: Run, model: Model) -> Alignment:
+    """Find the pose of the base in a run of clouds.
+
+    Args:
+        run: with `points`, commands (or ticks, where the model is calibrated), about in the base frame already.
+        model: of this robot, with a surface.
+
+    Raises:
+        AlignError: no surface, or too few points near the base.
+    """
+    if not len(model.triangles):
+        raise AlignError(f"the model of '{model.robot}' has no surface; give the bundle of a finger with one")
+    some = np.unique(np.linspace(0, run.frames - 1, min(run.frames, FRAMES)).astype(int))
+    few = run.at(some)
+    shapes = np.asarray(model.with_residual(None).predict(few))
+    low, height = float(model.rest[:, 2].min()), float(np.ptp(model.rest[:, 2]))
+    near = model.rest[:, 2] <= low + WIDER * ZONE * height
+    numbers = np.cumsum(near) - 1
+    triangles = numbers[model.triangles[near[model.triangles].all(axis=1)]].tolist()
+    slopes = _slopes(model, few)[:, near]
+    surfaces = [_core.Surface(np.ascontiguousarray(shape[near]), triangles) for shape in shapes]
+    zone = low + RIM * height, low + ZONE * height
+    within = model.rest[(model.rest[:, 2] >= zone[0]) & (model.rest[:, 2] <= zone[1])]
+    centre = within.mean(axis=0)
+    reach = float(np.linalg.norm(within - centre, axis=1).max())
+    clouds = [_near(cloud, surface, centre, reach, zone) for cloud, surface in zip(clouds_of(few), surfaces)]
+    count = sum(map(len, clouds))
+    if count < LEAST:
+        raise AlignError(
+            f"{count} points within {GATE:g} mm of the lowest {ZONE * height:.0f} mm of the body, {LEAST} or more tell "
+            "where the base stands; show the base to the cameras"
+        )
+    pose, step = Pose(np.eye(3), np.zeros(3)), np.zeros(6)
+    for _ in range(ROUNDS):
+        each = zip(clouds, surfaces, shapes[:, near], slopes)
+        rows = [_row(pose(cloud), surface, shape, by, centre, reach) for cloud, surface, shape, by in each]
+        found = _Normal.of(rows)
+        step = found.step()
+        more = rotation(step[:3] / reach)
+        pose = Pose(more, centre - more @ centre + step[3:]).after(pose)
+        if np.abs(step).max() < SETTLED:
+            break
+    lever = np.eye(6) / np.r_[np.full(3, reach), np.ones(3)]  # of (turn · reach, shift at the centre) to what is told
+    lever[3:, :3] = jacobian(-centre[None])[0][:, :3] / reach
+    sigma = np.sqrt(np.diag(lever @ found.covariance() @ lever.T)) * np.r_[np.full(3, np.degrees(1.0)), np.ones(3)]
+    notes = ["roll and height hardly show in clouds of a finger's lower part, and stay as they are"]
+    return Alignment(
+        pose, sigma, "clouds near the base", len(found.pulls), len(some), count, [], found.left, found.scatter, 1.0,
+        None, notes,
+    )  # fmt: skip
+
+
+def in_base(run: Run, model: Model) -> tuple[Run, Alignment | None]:
+    """Return a run of clouds in the base frame, and the pose where its base clearly stood elsewhere.
+
+    Clearly is by CLEAR standard deviations of a turn or a shift, and by LEAST_OFF mm at the tip. Other runs, and clouds
+    that show too little of the base, are returned as they are.
+    """
+    if run.points is None:
+        return run, None
+    try:
+        found = align_clouds(run, model)
+    except AlignError:
+        return run, None
+    turn, shift = np.abs(rotation_vector(found.pose.rotation)), np.abs(found.pose.shift)
+    size = np.r_[np.degrees(turn), shift]
+    moved = np.r_[turn * float(np.ptp(model.rest[:, 2])), shift]
+    clear = np.any((size > CLEAR * found.sigma)[TOLD] & (moved > LEAST_OFF)[TOLD])
+    return (found.apply(run), found) if clear else (run, None)
+
+
+def base_stood_off(pose: Pose) -> str:
+    """Say that clouds were taken by a pose into the frame of their base, and what to do with others."""
+    turn, shift = np.degrees(rotation_vector(pose.rotation)), pose.shift
+    turned, shifted = (", ".join(f"{v + 0.0:.2f}" for v in numbers) for numbers in (turn, shift))
+    return (
+        f"the base stands off the frame of the clouds: these were turned by ({turned}) deg and shifted by ({shifted}) "
+        "mm first; do so with every run: softmap align RUN --base clamped --bundle CALIBRATED --out RUN2"
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Normal:
+    """Normal equations of G groups of frames for 6 + C numbers: turns and shifts in mm at the rim, then commands."""
+
+    bends: Floats
+    pulls: Floats
+    scatter: float
+    left: float
+
+    @classmethod
+    def of(cls, rows: list[tuple[Floats, Floats]]) -> _Normal:
+        distance = np.concatenate([d for d, _ in rows])
+        scatter = max(TO_SIGMA * float(np.median(distance)), 1e-9)
+        groups = np.array_split(np.arange(len(rows)), min(GROUPS, len(rows)))
+        size = rows[0][1].shape[1]
+        bends, pulls = np.zeros((len(groups), size, size)), np.zeros((len(groups), size))
+        for g, group in enumerate(groups):
+            d, j = (np.concatenate([rows[k][i] for k in group]) for i in (0, 1))
+            weight = (1.0 - np.minimum(d / (TUKEY * scatter), 1.0) ** 2) ** 2
+            bends[g], pulls[g] = (j * weight[:, None]).T @ j, -(j * weight[:, None]).T @ d
+        used = distance[distance < TUKEY * scatter]
+        return cls(bends, pulls, scatter, float(np.sqrt(np.mean(used**2))))
+
+    @property
+    def inverse(self) -> Floats:
+        """The inverse of the whole matrix in the directions that are told, and for commands."""
+        whole = np.zeros(self.bends.shape[1:])
+        told = np.ix_(*[[*TOLD, *range(6, len(whole))]] * 2)
+        whole[told] = np.linalg.pinv(self.bends.sum(axis=0)[told], hermitian=True)
+        return whole
+
+    def step(self) -> Floats:
+        """Return the step (6,) of Gauss and Newton."""
+        return np.asarray(self.inverse @ self.pulls.sum(axis=0), np.float64)[:6]
+
+    def covariance(self) -> Floats:
+        """Return the covariance (6, 6) by the noise and by how the groups differ."""
+        count = len(self.pulls)
+        apart = self.pulls - self.pulls.mean(axis=0)
+        wander = self.inverse @ (apart.T @ apart) @ self.inverse * count / max(count - 1, 1)
+        whole = self.scatter**2 * self.inverse + student(max(count - 1, 1)) ** 2 * wander
+        return np.asarray(whole[:6, :6], np.float64)
+
+
+def _near(cloud: Floats, surface: _core.Surface, centre: Floats, reach: float, zone: tuple[float, float]) -> Floats:
+    """Return the points (m, 3) of a cloud by the part of a surface between two heights, POINTS at most."""
+    some = np.asarray(cloud[np.linalg.norm(cloud - centre, axis=1) < reach + GATE], np.float64)
+    if not len(some):
+        return some
+    places, distance = surface.nearest(np.ascontiguousarray(some))
+    some = some[(distance < GATE) & (places[:, 2] > zone[0]) & (places[:, 2] < zone[1])]  # beyond, the surface is cut
+    return np.ascontiguousarray(some[:: max(1, len(some) // POINTS)])
+
+
+def _slopes(model: Model, run: Run) -> Floats:
+    """Return what commands do to the vertices (K, N, 3, C) of each frame."""
+    u = model.acts(run)
+    slopes = np.empty((len(u), *model.rest.shape, model.channels))
+    for rows, family in priors_in(model, run):
+        slopes[rows] = np.asarray(family.jacobian(np.ascontiguousarray(u[rows]))).reshape(-1, *slopes.shape[1:])
+    return slopes
+
+
+def _row(
+    points: Floats, surface: _core.Surface, vertices: Floats, slopes: Floats, centre: Floats, reach: float
+) -> tuple[Floats, Floats]:
+    """Return the distances (m,) mm of points from a surface, and their slopes (m, 6 + C) by turn, shift and commands.
+
+    vertices, slopes: those (N, 3) of the surface, and what commands do to them (N, 3, C).
+    """
+    if not len(points):
+        return np.zeros(0), np.zeros((0, 6 + slopes.shape[2]))
+    places, distance = surface.nearest(np.ascontiguousarray(points))
+    away = (points - places) / np.maximum(distance, 1e-12)[:, None]
+    arm = points - centre
+    nearest = np.argmin(np.linalg.norm(places[:, None] - vertices, axis=2), axis=1)
+    by_command = -np.einsum("mx,mxc->mc", away, slopes[nearest])
+    return distance, np.concatenate([np.cross(arm, away) / reach, away, by_command], axis=1)

@@ -1,0 +1,244 @@
+"""Registration of a finger's template to point clouds, one frame or a run: where its vertices are, and how sure.
+
+`robust` (default): from the shape of the model that is nearest to the cloud, as-rigid-as-possible about that shape,
+data from the cloud to the surface with weights that let outliers go (`rust/geometry/register.rs`). `paper`: the
+published objective, each vertex (of a model with handles, each of these) to its nearest point, from the shape at rest
+(`rust/geometry/paper.rs`). Base frame, mm. What a round finger does about its own axis no cloud tells: the roll of the
+vertices is that of the start. Pinned by tests/test_registration.py, tests/test_handles.py.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softmap_edge import _core
+from softmap_edge.alignment.clouds import clouds_of
+from softmap_edge.errors import RegistrationError
+from softmap_edge.model.model import Model
+from softmap_edge.model.orientation import prior_in, priors_in
+from softmap_edge.run.run import ROLL_SEEN, Run
+
+Floats = NDArray[np.float64]
+Mode = Literal["robust", "paper"]
+
+SCHEMA = "softmap.registration/1"
+LEAST_POINTS = 60  # of a cloud; fewer do not show where a finger is
+GRID, CANDIDATES = 9, 800  # commands a channel among which the start is looked for; fewer where channels make too many
+CLAMPED_MM = 1e-6  # vertices that no command moves by more are held by the clamp
+PAPER_STRENGTH, PAPER_ROUNDS = 1.0, 100  # λ and rounds of `paper`: not in the paper
+SEEN = 0.5  # points that must speak for a vertex to be seen
+OWN_MM = 0.3  # how far vertices are off for other reasons than noise
+SCALE = 0.02  # by which a cloud may be larger or smaller than the template without a word
+UNITS = {"metres": 1e-3, "centimetres": 0.1, "inches": 1 / 25.4, "tenths of a mm": 10.0}
+NEAR_UNIT = 2.0  # factor between the extent of a cloud and that of the template in another unit
+POOR, LOST = 0.8, 0.5  # share of a cloud that counts: less is worth a word; less is another object
+AMID = 0.85  # of the usual share among the clouds of a run: a cloud of which less counts has seen nothing
+NEAR_COST = 0.1  # of the robust cost between two starts of different shape: closer, the wrong one may have won
+TOLD = 5  # frames with warnings that are printed
+
+
+@dataclass(frozen=True, eq=False)
+class Registered:
+    """A template laid onto K clouds: `vertices` (K, N, 3) mm, `support` (K, N), and a row of `frames` for each cloud.
+
+    `support` is how many points of the cloud speak for a vertex, by their weights (the robust mode uses 2000 at most);
+    what has none was not seen and is where its neighbours want it. `mode` says how it was done, `warnings` what looks
+    wrong, frame by frame. Prints itself; `to_dict()` is softmap.registration/1.
+    """
+
+    vertices: Floats
+    support: Floats
+    frames: list[dict[str, Any]]
+    mode: Mode
+    seconds: float
+
+    @property
+    def visible(self) -> NDArray[np.bool_]:
+        """Which vertices (K, N) a cloud has seen."""
+        return self.support >= SEEN
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the document softmap.registration/1, without the vertices."""
+        return {
+            "schema": SCHEMA,
+            "mode": self.mode,
+            "frames": self.frames,
+            "not_measured": "roll: what a round finger does about its own axis",
+            "seconds": self.seconds,
+        }
+
+    def __str__(self) -> str:
+        told = {
+            key: np.median([row[key] for row in self.frames]) for key in ("residual_mm", "noise_mm", "used", "visible")
+        }
+        lines = [
+            f"Registered {len(self.frames)} clouds ({self.mode}), {1e3 * self.seconds / len(self.frames):.0f} ms each",
+            f"  median: {told['residual_mm']:.2f} mm RMS from cloud to surface, noise {told['noise_mm']:.2f} mm, "
+            f"{100 * told['used']:.0f} % of the points count, {100 * told['visible']:.0f} % of the vertices were seen",
+            "  not measured: roll, what a round finger does about its own axis",
+        ]
+        wrong = [row for row in self.frames if row["warnings"]]
+        lines += [f"  look at cloud {row['frame']}: {'; '.join(row['warnings'])}" for row in wrong[:TOLD]]
+        return "\n".join([*lines, *([f"  and {len(wrong) - TOLD} more (--json)"] if len(wrong) > TOLD else [])])
+
+    def run(self, of: Run) -> Run:
+        """Return the run of clouds `of` as one of vertices, with `visible`, `sigma` (mm) and the roll as not seen."""
+        noise = np.array([row["noise_mm"] for row in self.frames])[:, None]
+        sigma = np.sqrt(noise**2 / np.maximum(self.support, SEEN) + OWN_MM**2)
+        extra = dict(of.extra) | {ROLL_SEEN: np.array(False)}
+        return replace(
+            of, points=None, start=None, vertices=self.vertices, visible=self.visible, sigma=sigma, extra=extra
+        )
+
+
+def register(model: Model, of: Run | Sequence[Floats], mode: Mode = "robust") -> Registered:
+    """Lay the template of a model onto point clouds of its finger.
+
+    Args:
+        model: of the finger, with a surface (a bundle built from a finger or a sweep with triangles).
+        of: a run of clouds, or clouds (M, 3) mm in the base frame.
+        mode: "robust", or "paper" for the published objective.
+
+    Returns:
+        Registered: one frame for each cloud.
+
+    Raises:
+        RegistrationError: the model has no surface, a cloud is empty or tiny, in another unit or of another object.
+    """
+    if not len(model.triangles):
+        raise RegistrationError(
+            f"the model of '{model.robot}' has no surface to lay onto a cloud; build it from a finger.toml, or from a "
+            "sweep with triangles"
+        )
+    clouds = clouds_of(of) if isinstance(of, Run) else [np.asarray(cloud, np.float64) for cloud in of]
+    if not clouds:
+        raise RegistrationError("the run has no seen frames (K = 0), so there is no cloud to lay a template onto")
+    for k, cloud in enumerate(clouds):
+        _check(k, cloud, model.rest)
+    ahead = time.perf_counter()
+    core = _core.Registration(model.rest, np.asarray(model.triangles).tolist(), clamped(model).tolist())
+    if mode == "robust":
+        found = _robust(core, model, of if isinstance(of, Run) else None, clouds)
+    else:
+        found = _published(core, model, clouds)
+    seconds = time.perf_counter() - ahead
+    frames = [_row(k, one, mode) for k, one in enumerate(found)]
+    used = float(np.median([row["used"] for row in frames]))
+    if used < LOST:
+        raise RegistrationError(
+            f"only {100 * used:.0f} % of the points lie on the template (median of {len(frames)} clouds), "
+            f"{100 * LOST:.0f} % are needed: another object, another frame than the base, or another finger; align "
+            "the run, cut the finger out of the cloud"
+        )
+    support = np.array([one["support"] for one in found])
+    for row in frames:  # one that is something else, or may as well be another shape, has seen nothing
+        if row["doubtful"] or row["used"] < max(LOST, AMID * used):
+            support[row["frame"]] = 0.0
+    return Registered(np.array([one["vertices"] for one in found]), support, frames, mode, seconds)
+
+
+def clamped(model: Model) -> NDArray[np.int64]:
+    """Return the vertices that no command moves: those that the clamp holds."""
+    shapes = np.asarray(model.prior.evaluate(np.array(_candidates(model)))).reshape(-1, *model.rest.shape)
+    return np.flatnonzero(np.ptp(shapes, axis=0).max(axis=1) <= CLAMPED_MM)
+
+
+def _candidates(model: Model) -> list[list[float]]:
+    """Return commands all over the range of a model."""
+    low, high = model.command_range.T
+    each = max(2, min(GRID, int(CANDIDATES ** (1.0 / max(1, model.channels)))))
+    axes = [np.linspace(a, b, each) for a, b in zip(low, high)]
+    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, model.channels).tolist()
+
+
+def _check(k: int, cloud: Floats, rest: Floats) -> None:
+    if cloud.ndim != 2 or cloud.shape[1] != 3:
+        raise RegistrationError(f"cloud {k}: points of shape {cloud.shape}, expected (M, 3) in mm")
+    if len(cloud) < LEAST_POINTS:
+        raise RegistrationError(
+            f"cloud {k}: {len(cloud)} points, {LEAST_POINTS} or more show where a finger is; leave it out"
+        )
+    low, high = np.quantile(cloud, [0.05, 0.95], axis=0)  # what flies about is no extent
+    ratio = float(np.linalg.norm(high - low) / np.linalg.norm(np.ptp(rest, axis=0)))
+    for unit, factor in UNITS.items():
+        if factor / NEAR_UNIT < ratio < factor * NEAR_UNIT:
+            raise RegistrationError(
+                f"cloud {k}: {ratio:.2g} times as large as the template, as if it were in {unit}; "
+                f"multiply by {1 / factor:g}"
+            )
+
+
+def _robust(core: _core.Registration, model: Model, run: Run | None, clouds: list[Floats]) -> list[dict[str, Any]]:
+    """Register clouds, each from the shapes that the model has in its orientation."""
+    low, high = model.command_range.T.tolist()
+    found: list[dict[str, Any]] = [{}] * len(clouds)
+    for rows, shape in [(np.arange(len(clouds)), prior_in(model))] if run is None else priors_in(model, run):
+        some = core.robust(shape, [clouds[k] for k in rows], _candidates(model), low, high)
+        for k, one in zip(rows, some):
+            found[k] = one
+    return found
+
+
+def _published(core: _core.Registration, model: Model, clouds: list[Floats]) -> list[dict[str, Any]]:
+    """Register clouds by the published objective; handles alone ask for points, and points speak for handles alone."""
+    handles = np.arange(len(model.rest)) if model.handles is None else model.handles
+    strength, found = np.zeros(len(model.rest)), []
+    strength[handles] = PAPER_STRENGTH
+    for cloud in clouds:
+        vertices, rounds = core.published(cloud, strength, PAPER_ROUNDS)
+        distance, _ = _core.chamfer(vertices, cloud)["to_template"]
+        _, nearest = _core.chamfer(vertices[handles], cloud)["to_template"]
+        support = np.zeros(len(vertices))
+        support[handles] = np.bincount(nearest, minlength=len(handles))
+        rms = float(np.sqrt(np.mean(np.square(distance))))
+        found.append(
+            dict(vertices=vertices, support=support, rounds=rounds, settled=rounds < PAPER_ROUNDS,
+                 residual_mm=rms, noise_mm=float(np.median(distance)), used=1.0)
+        )  # fmt: skip
+    return found
+
+
+def _row(k: int, one: dict[str, Any], mode: Mode) -> dict[str, Any]:
+    """Return what is told of one frame: numbers, and what looks wrong."""
+    row: dict[str, Any] = {
+        "frame": k,
+        "residual_mm": float(one["residual_mm"]),
+        "noise_mm": float(one["noise_mm"]),
+        "used": float(one["used"]),
+        "visible": float(np.mean(one["support"] >= SEEN)),
+        "rounds": int(one["rounds"]),
+        "settled": bool(one["settled"]),
+    }
+    if mode == "robust":
+        row |= {
+            "start": np.asarray(one["command"]).tolist(),
+            "start_cost": float(one["start_cost"]),
+            "scale": float(one["scale"]),
+        }
+    row["doubtful"] = one.get("other") is not None and one["other"][0] < row["start_cost"] + NEAR_COST
+    row["warnings"] = _warnings(row, one)
+    return row
+
+
+def _warnings(row: dict[str, Any], one: dict[str, Any]) -> list[str]:
+    said = []
+    if "scale" in row and abs(row["scale"] - 1.0) > SCALE:
+        percent = 100.0 * (row["scale"] - 1.0)
+        said.append(
+            f"the cloud is {abs(percent):.0f} % {'larger' if percent > 0 else 'smaller'} than the template: check unit "
+            "and calibration"
+        )
+    if row["used"] < POOR:
+        said.append(
+            f"{100 * row['used']:.0f} % of the cloud lie on the template; the rest is something else, or "
+            "the start was wrong"
+        )
+    if row["doubtful"]:
+        said.append(f"another shape, {one['other'][1]:.0f} mm RMS away, explains the cloud nearly as well")
+    return said

@@ -1,0 +1,1 @@
+"""Servo ticks → commands of a model, each parameter with its uncertainty, checked on frames held out."""

@@ -1,0 +1,84 @@
+"""A calibration found: the map of ticks, the held commands that it was fitted to, and what speaks against it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softmap_edge.calibration.departures import BESIDE, Departure
+from softmap_edge.calibration.held_out import Held
+from softmap_edge.model.servo_calibration import Calibration
+
+if TYPE_CHECKING:
+    from softmap_edge.model.model import Model
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Calibrated:
+    """A calibration found: `model` carries it, `held` are the rows it was fitted to, `departures` why it is not affine.
+
+    `weight` (n,) of each row is 0 where it does not belong; `mae_mm` is what the matches leave of the shapes, median.
+    Prints itself; `to_dict()` is softmap.calibration/1, with more than a bundle keeps.
+    """
+
+    model: Model
+    calibration: Calibration
+    held: Held
+    weight: Floats
+    mae_mm: float
+    departures: list[Departure]
+    warnings: list[str]
+
+    @property
+    def affine(self) -> bool:
+        """Whether nothing speaks against an affine map; a memory and a turn are fitted beside it."""
+        return all(one.kind in BESIDE for one in self.departures)
+
+    @property
+    def left(self) -> Floats:
+        """What the map leaves of the matched commands (n, C); NaN where a command was not told."""
+        return np.where(self.held.told, self.held.u - self.calibration.commands(self.held.ticks), np.nan)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the document softmap.calibration/1 with the matched pairs and what speaks against it."""
+        found, pairs = self.calibration, zip(self.held.u.tolist(), self.held.told.tolist())
+        return found.to_dict() | {
+            "affine": self.affine,
+            "departures": [one.to_dict() for one in self.departures],
+            "matched": {
+                "ticks": self.held.ticks.tolist(),
+                "command": [[v if k else None for v, k in zip(*row)] for row in pairs],
+                "frames": [len(part) for part in self.held.frames],
+                "weight": self.weight.tolist(),
+                "mae_mm": self.mae_mm,
+            },
+            "usable_commands": found.usable(self.model.command_range).tolist(),
+            "warnings": list(self.warnings),
+        }
+
+    def __str__(self) -> str:
+        c, n = self.calibration, len(self.held)
+        rows = []
+        for i, unit in enumerate(c.b):
+            a = "".join(f"{v:13.6f} ± {s:<8.6f}" for v, s in zip(c.A[i], c.sigma_A[i]))
+            rows.append(f"  u{i} {a}   b {unit:8.3f} ± {c.sigma_b[i]:.3f} {c.unit}   home {c.home[i]:.7g} ticks")
+        wrong = int((self.weight == 0).sum())
+        aside = f", {wrong} of them set aside" if wrong else ""
+        error = c.held_out
+        lines = [
+            f"Calibrated: u = A (ticks − home) + b, from {c.frames} frames at {n} "
+            f"{'held commands' if self.held.still else 'places, in motion'}{aside}",
+            f"  A, {c.unit}/tick",
+            *rows,
+            f"  condition of A {c.condition:.2f}; held out: {error['command']:.3g} {c.unit} of command, "
+            f"{error['shape_mm']:.3g} mm of shape, of which the matches leave {error['matched_shape_mm']:.3g} mm",
+        ]
+        if c.window is not None:
+            span = ", ".join(f"{low:.2f} to {high:.2f}" for low, high in c.usable(self.model.command_range))
+            lines.append(f"  usable with {c.window[0]:g} to {c.window[1]:g} ticks about home: {span} {c.unit}")
+        return "\n".join([*lines, *(f"  look at: {text}" for text in self.warnings)])

@@ -1,0 +1,123 @@
+"""Frames of a run gathered by the command that was held: the same command counts once, however often it was seen.
+
+Frames of one dwell share what disturbs them, and dwells at one command share what the model misses there. So the rows
+of a calibration are held commands: places in ticks, with the middle of their matches. Where a run does not dwell
+enough, its places are small cells of ticks and its frames are taken in motion. Units: ticks, s, and the commands'.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softmap_edge.calibration.matching import Matches
+from softmap_edge.run.conditions import STILL, conditions
+from softmap_edge.run.run import Run
+
+Floats = NDArray[np.float64]
+Index = NDArray[np.int64]
+Mask = NDArray[np.bool_]
+
+SAME = 0.005  # of the span of the ticks: dwells closer than this are at one place
+CELL = 0.04  # of the span: size of a place where nothing dwells
+ENOUGH = 3  # times as many places as coefficients of a channel: with fewer that are dwelt at, motion is taken too
+WINDOW = 0.5  # s over which the way of a servo is taken
+
+
+@dataclass(frozen=True, eq=False)
+class Held:
+    """Held commands: `ticks` (n, C), `u` (n, C) the commands matched, their `covariance` and which are `told`.
+
+    `place` (n,) numbers the places; `direction` (n, m) holds signs of the last motion before, where they were asked
+    for; `frames` are the numbers of the frames of each. `still` says whether they are dwells.
+    """
+
+    ticks: Floats
+    u: Floats
+    covariance: Floats
+    told: Mask
+    place: Index
+    direction: Floats
+    frames: list[Index]
+    still: bool
+
+    def __len__(self) -> int:
+        return len(self.ticks)
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """What was seen, frame by frame (those of use): number, ticks (k, C) and place (k,)."""
+
+    frame: Index
+    ticks: Floats
+    place: Index
+    still: bool
+
+
+def places(run: Run, ticks: Floats, usable: Mask) -> Seen:
+    """Say where each usable frame of a run was, by the ticks (T, C) of its record."""
+    state = conditions(run, ticks)
+    span = np.maximum(np.ptp(ticks, axis=0), 1.0)
+    still = np.flatnonzero(usable & ~state.moving)
+    number = _places(state.command[still], state.visit[still], span)
+    if len(np.unique(number)) >= ENOUGH * (ticks.shape[1] + 1):
+        return Seen(still, state.command[still], number, True)
+    frame = np.flatnonzero(usable)
+    cells = np.rint(state.command[frame] / (CELL * span)).astype(np.int64)
+    number = np.unique(cells, axis=0, return_inverse=True)[1].reshape(-1) if len(frame) else frame
+    return Seen(frame, state.command[frame], number, False)
+
+
+def gather(seen: Seen, matches: Matches, direction: Floats | None = None) -> Held:
+    """Return the held commands of a run: one for each place, or for each place and `direction` (K, m) of the frames."""
+    way = np.zeros((len(seen.frame), 0)) if direction is None else direction[seen.frame]
+    keys = np.column_stack([seen.place, way])
+    groups = np.unique(keys, axis=0, return_inverse=True)[1].reshape(-1)
+    parts = [np.flatnonzero(groups == g) for g in range(groups.max(initial=-1) + 1)]
+    parts.sort(key=lambda part: int(part[0]))
+    rows = [seen.frame[part] for part in parts]
+    return Held(
+        ticks=np.array([seen.ticks[part].mean(axis=0) for part in parts]),
+        u=np.array([np.median(matches.command[row], axis=0) for row in rows]),
+        covariance=np.array([matches.covariance[row].mean(axis=0) / len(row) for row in rows]),
+        told=np.array([matches.told[row].mean(axis=0) > 0.5 for row in rows]),
+        place=np.array([seen.place[part[0]] for part in parts]),
+        direction=np.array([way[part[0]] for part in parts]),
+        frames=rows,
+        still=seen.still,
+    )
+
+
+def visits(run: Run, ticks: Floats, seen: Seen) -> Index:
+    """Return how often each place was dwelt at, by its number."""
+    visit = conditions(run, ticks).visit[seen.frame]
+    pairs = np.unique(np.column_stack([seen.place, visit]), axis=0)
+    return np.bincount(pairs[:, 0])
+
+
+def directions(run: Run, drive: Floats) -> Floats:
+    """Return the sign (K, m) of the last motion of each column of `drive` (T, m) before each frame; 0: none."""
+    t, past = run.t, np.maximum(run.t - WINDOW, run.t[0])
+    moved = np.column_stack([column - np.interp(past, t, column) for column in drive.T])
+    moved /= np.maximum(t - past, 1e-9)[:, None]
+    sign = np.where(np.abs(moved) > STILL * np.maximum(np.ptp(drive, axis=0), 1e-12), np.sign(moved), 0.0)
+    last = np.maximum.accumulate(np.where(sign != 0, np.arange(len(t))[:, None], 0), axis=0)
+    held = np.take_along_axis(sign, last, axis=0)
+    return np.asarray(held[np.clip(np.searchsorted(t, run.t_seen, side="right") - 1, 0, len(t) - 1)])
+
+
+def _places(ticks: Floats, visit: Index, span: Floats) -> Index:
+    """Return the number (k,) of each frame's place: dwells whose middles are within SAME of the first at one."""
+    number = np.zeros(len(ticks), np.int64)
+    leaders = np.zeros((0, ticks.shape[1]))
+    for v in dict.fromkeys(visit.tolist()):
+        rows = np.flatnonzero(visit == v)
+        middle = np.median(ticks[rows], axis=0)
+        near = np.flatnonzero((np.abs(leaders - middle) <= SAME * span).all(axis=1))
+        if not len(near):
+            leaders, near = np.vstack([leaders, middle]), np.array([len(leaders)])
+        number[rows] = near[0]
+    return number

@@ -1,0 +1,1 @@
+"""Commands of `softmap servo`: one module for each but the shortest."""

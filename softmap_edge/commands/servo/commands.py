@@ -1,0 +1,306 @@
+"""The verbs servo and replay: servos found, read, set up and released; the emulated ones; a recording decided again."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import shlex
+import warnings
+from pathlib import Path
+from typing import Any
+
+from softmap_edge.commands.output import check_file, check_no_run, to_stderr
+from softmap_edge.commands.parser import Action, add_actions
+from softmap_edge.commands.servo.calibrate import calibrate_bench, calibrate_bench_arguments
+from softmap_edge.commands.servo.emulate import emulate, emulate_arguments
+from softmap_edge.commands.servo.heartbeat import heartbeat, heartbeat_arguments
+from softmap_edge.commands.servo.home import home, home_arguments
+from softmap_edge.commands.servo.limits import limits, limits_arguments
+from softmap_edge.commands.servo.pull import pull_arguments, pull_test
+from softmap_edge.commands.servo.reboot import reboot, reboot_arguments
+from softmap_edge.errors import NoAnswer, RecordingWarning, ServoError
+from softmap_edge.robot.commissioning import setup
+from softmap_edge.robot.commissioning.rig_entry import changes, entered, entry_of
+from softmap_edge.robot.control.recording import read_recording
+from softmap_edge.robot.control.shutdown import kept_words
+from softmap_edge.robot.drive.recorded import run_of
+from softmap_edge.robot.remedies import with_files
+from softmap_edge.robot.servo import status_words as words
+from softmap_edge.robot.servo.bus import opened, ports, release
+from softmap_edge.robot.servo.conditions import unfit
+from softmap_edge.robot.servo.examined import members
+from softmap_edge.robot.servo.home_mark import marked
+from softmap_edge.robot.servo.known_state import differs, passing
+from softmap_edge.robot.servo.presence import why_silent
+from softmap_edge.robot.servo.rig import Rig, read_rig
+
+SLOWEST, FASTEST = 9_600, 4_500_000  # baud
+OTHERWISE = 1  # exit code: a fault, or a recording that is decided otherwise
+
+
+def _ports(args: argparse.Namespace) -> list[str]:
+    """Return the ports that are meant.
+
+    Raises:
+        ServoError: none, or a rate that no port has.
+    """
+    if args.baud is not None and not SLOWEST <= args.baud <= FASTEST:
+        raise ServoError(f"--baud {args.baud}; {SLOWEST} to {FASTEST} is allowed")
+    found = [args.port] if args.port else ports()
+    if not found:
+        raise ServoError("no serial port on this machine; connect the adapter, or give --port")
+    return found
+
+
+def _of_rig(args: argparse.Namespace) -> Rig | None:
+    """Return the rig of `--rig`; its port and baud rate fill in missing arguments."""
+    if args.rig is None:
+        return None
+    rig = read_rig(args.rig)
+    args.port, args.baud = args.port or rig.port, args.baud or rig.baud
+    return rig
+
+
+def _missing(rig: Rig | None, found: list[setup.Found]) -> list[str]:
+    """Return a sentence for each servo of the rig that did not answer, with the cause."""
+    listed = [] if rig is None else [servo.id for servo in rig.servos]
+    left = [id for id in listed if id not in [servo.id for servo in found]]
+    return [] if rig is None else [f"servo {id}: {why_silent(rig.port, rig.baud, id, listed)}" for id in left]
+
+
+def _scan(args: argparse.Namespace) -> int:
+    rig = _of_rig(args)
+    found: list[setup.Found] = []
+    remarks: list[str] = []
+    for port in _ports(args):
+        for heard in setup.scanned(port, args.baud):
+            found += heard.found
+            remarks += heard.remarks
+            if not args.json:
+                said = [f"  ! {with_files(one, args)}" for one in heard.remarks]
+                print("".join(f"{line}\n" for line in [*heard.found, *said]), end="")
+    remarks += (missing := _missing(rig, found))
+    remarks, missing = ([with_files(one, args) for one in some] for some in (remarks, missing))
+    if args.json:
+        servos = [_told(servo) for servo in found]
+        print(json.dumps({"schema": "softmap.servos/1", "servos": servos, "remarks": remarks}))
+    elif missing:
+        print("\n".join(f"  ! {one}" for one in missing))
+    elif not found and not remarks:
+        more = "" if args.baud is None else ", and without --baud every rate is tried"
+        print(f"no servo answers; check its power and wiring{more}")
+    return 0 if found and not remarks else OTHERWISE
+
+
+def _told(servo: setup.Found) -> dict[str, Any]:
+    name = servo.model["name"] if servo.model else None
+    return dict(
+        port=servo.port, baud=servo.baud, id=servo.id, model=name, model_number=servo.number, firmware=servo.firmware
+    )
+
+
+def _find(args: argparse.Namespace) -> tuple[list[setup.Found], list[str], set[int]]:
+    """Return the selected servos, remarks on wrong answers, and the ids that answer pings only."""
+    heard = [one for port in _ports(args) for one in setup.scanned(port, args.baud)]
+    every = [servo for one in heard for servo in one.found]
+    remarks = [remark for one in heard for remark in one.remarks]
+    found = [servo for servo in every if args.id is None or servo.id == args.id]
+    if found:
+        return found, remarks, {id for one in heard for id in one.mute}
+    if remarks and not every:
+        raise ServoError(remarks[0])
+    which = "no servo" if args.id is None else f"no servo of id {args.id}"
+    if args.id is not None and args.port and args.baud:
+        raise ServoError(f"{which} answers: {why_silent(args.port, args.baud, args.id)}")
+    scan = f"softmap servo scan --port {shlex.quote(args.port)}" if args.port else "softmap servo scan"
+    raise ServoError(f"{which} answers; check power and wiring, `{scan}` lists what does")
+
+
+def _read(args: argparse.Namespace) -> int:
+    documents = []
+    rig = _of_rig(args)
+    found, remarks, mute = _find(args)
+    remarks += [] if args.id is not None else _missing(rig, found)
+    remarks = [with_files(one, args) for one in remarks]
+    asked = {} if rig is None else {one.id: one.asked for one in members(rig)}
+    well = not remarks
+    shared = {servo.id for servo in found if [one.id for one in found].count(servo.id) > 1}
+    for servo in {(one.port, one.baud, one.id): one for one in found}.values():
+        unread = servo.id in shared or servo.id in mute
+        values, said = ({}, []) if unread else _registers(servo, asked.get(servo.id))
+        said = [with_files(one, args) for one in said]
+        well &= not said
+        documents.append(_told(servo) | {"registers": values, "complaints": said})
+        if not args.json:
+            print(servo)
+            print("".join(f"  {name.replace('_', ' '):<24} {value}\n" for name, value in values.items()), end="")
+            print(
+                "\n".join(f"  ! {line}" for line in said)
+                or ("  set up" if values else "  its registers cannot be read: see below")
+            )
+    if args.json:
+        print(json.dumps({"schema": "softmap.servos/1", "servos": documents, "remarks": remarks}))
+    else:
+        print("".join(f"! {line}\n" for line in remarks), end="")
+    return 0 if well else OTHERWISE
+
+
+def _registers(servo: setup.Found, asked: setup.Asked | None) -> tuple[dict[str, int], list[str]]:
+    """Return the register values of a servo, and a line for each that blocks a start or is rewritten by it."""
+    try:
+        with opened(servo.port, servo.baud) as bus:
+            values = setup.registers(bus, servo.id)
+            window = None if asked is None else asked.window
+            proved = asked is not None and window is not None and marked(bus, servo.id, asked.home)
+    except NoAnswer as fault:
+        return {}, [str(fault)]
+    left = [differs(servo, need, values[need.register]) for need in passing(servo, values, asked)]
+    said = setup.complaints(servo, values, asked) + unfit(servo, values, asked, proved)
+    return values, said + [f"{one}; each start writes it again" for one in left]
+
+
+def _setup(args: argparse.Namespace) -> int:
+    check_file("--rig", args.rig, ".toml")
+    found, remarks, _ = _find(args)
+    ids = [servo.id for servo in found]
+    if len(found) > 1:
+        if shared := [line for line in remarks if len(set(ids)) < len(ids) and "share" in line]:
+            raise ServoError(f"{len(found)} servos answer (ids {', '.join(map(str, ids))}): {shared[0]}")
+        said = ", ".join(map(str, ids))
+        raise ServoError(f"{len(found)} servos answer (ids {said}); connect one at a time, or say which with --id")
+    old = read_rig(args.rig) if args.rig and Path(args.rig).exists() else None
+    entry = entry_of(old, found[0], args.new_id, args.new_baud)  # before anything is changed
+    mended: list[str] = []
+    done = setup.set_up(found[0], args.new_id, args.new_baud, mended.append, entry.asked)
+    if args.rig:
+        mended += changes(entry, found[0], done, args.rig)
+        bench = entered(entry, done, setup.gains(done))
+        (bench.write if old is None else bench.note)(args.rig)
+    if args.json:
+        print(json.dumps({"schema": "softmap.servos/1", "servos": [_told(done)], "rig": args.rig, "mended": mended}))
+    else:
+        print("".join(f"  {line}\n" for line in mended), end="")
+        print(f"{done}: set up" + (f", noted in {args.rig}" if args.rig else ""))
+        print(_next(args, done))
+    return 0
+
+
+def _next(args: argparse.Namespace, done: setup.Found) -> str:
+    """Return what comes after set-up: homing, which needs a rig that holds the servo."""
+    if args.rig:
+        return f"  next, once all are: softmap servo home --rig {shlex.quote(args.rig)}"
+    where = f"--port {shlex.quote(done.port)} --baud {done.baud} --id {done.id}"
+    return f"  next: softmap servo setup {where} --rig rig.toml, and once all are: softmap servo home --rig rig.toml"
+
+
+def _off(args: argparse.Namespace) -> int:
+    port, baud, ids = args.port, args.baud, []
+    if args.rig:
+        rig = read_rig(args.rig)
+        port, baud, ids = port or rig.port, baud or rig.baud, [servo.id for servo in rig.servos]
+    args.port = port
+    ports, released, kept = _ports(args), [], []
+    for name in ports:
+        there, left = release(name, baud, ids)
+        released += there
+        kept += left
+        if not args.json:
+            told = f"off: servo {', '.join(map(str, there))}" if there else "no servo confirmed it"
+            print(f"{name}: torque off was sent; {told}")
+            if left:
+                print(f"{name}: {with_files(kept_words(left), args)}")
+    if args.json:
+        document = {"schema": "softmap.servos/1", "released": ports, "confirmed": released, "not_confirmed": kept}
+        print(json.dumps(document))
+    return 0 if released and not kept else OTHERWISE
+
+
+def _bus_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--port", metavar="PORT", help="a serial port; every one of this machine without it")
+    parser.add_argument("--baud", type=int, metavar="BAUD", help="one rate; every known one without it")
+
+
+def _scan_arguments(parser: argparse.ArgumentParser) -> None:
+    _bus_arguments(parser)
+    parser.add_argument("--rig", metavar="rig.toml", help="look for the servos of this bench")
+
+
+def _read_arguments(parser: argparse.ArgumentParser) -> None:
+    _scan_arguments(parser)
+    parser.add_argument("--id", type=int, metavar="ID", help="one servo; all that answer without it")
+
+
+def _setup_arguments(parser: argparse.ArgumentParser) -> None:
+    _bus_arguments(parser)
+    parser.add_argument("--id", type=int, metavar="ID", help="its id now, where several servos are connected")
+    parser.add_argument("--new-id", type=int, metavar="ID", help="the id it gets")
+    parser.add_argument("--new-baud", type=int, metavar="BAUD", help="the baud rate it gets")
+    parser.add_argument("--rig", metavar="rig.toml", help="add it to this bench")
+
+
+def _off_arguments(parser: argparse.ArgumentParser) -> None:
+    _bus_arguments(parser)
+    parser.add_argument("--rig", metavar="rig.toml", help="the bench whose port it is")
+
+
+ACTIONS: dict[str, Action] = {
+    "scan": ("find ports, baud rates and servos", _scan_arguments, _scan),
+    "read": ("what a servo is, and what keeps it from being driven", _read_arguments, _read),
+    "setup": ("make one servo ready, and note it in a rig.toml", _setup_arguments, _setup),
+    "home": ("prove where the finger is straight, after each power-up", home_arguments, home),
+    "calibrate": (
+        "a first calibration without a camera: pulley, jogged signs, a ruler",
+        calibrate_bench_arguments,
+        calibrate_bench,
+    ),
+    "pull": ("measure the current at the stroke; it becomes the ceiling", pull_arguments, pull_test),
+    "limits": ("every limit in force on a bench, and who set it", limits_arguments, limits),
+    "off": ("switch the torque of every servo off", _off_arguments, _off),
+    "reboot": ("restart a servo that has shut itself down", reboot_arguments, reboot),
+    "heartbeat": ("be the emergency stop of a robot elsewhere", heartbeat_arguments, heartbeat),
+    "emulate": ("an emulated robot: servos, a finger, a camera, faults on command", emulate_arguments, emulate),
+}
+
+
+def servo_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments of `servo` and of its actions."""
+    add_actions(parser, ACTIONS)
+
+
+def servo(args: argparse.Namespace) -> int:
+    """Run an action on servos; return 0 when all is well."""
+    return ACTIONS[args.what][2](args)
+
+
+def replay_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments of `replay`."""
+    parser.add_argument("recording", help="what the control loop recorded (.mcap)")
+    parser.add_argument("--run", metavar="FILE.npz", help="write it as a run as well, with what was seen")
+    parser.add_argument("--force", action="store_true", help="replace the run that stands there")
+
+
+def replay(args: argparse.Namespace) -> int:
+    """Let the guard decide a recording again; 1 if it decides otherwise anywhere, or the recording is not whole."""
+    check_file("--run", args.run, ".npz")
+    check_no_run("--run", args.run, args.force)
+    recording = read_recording(args.recording)
+    differ, lacks = recording.replay(), recording.incomplete
+    if args.run:
+        run, lacks = run_of(recording)
+        run.save(args.run)
+    first, last = recording.periods[0], recording.periods[-1]
+    seconds = (last["now"] - first["now"]) * 1e-9
+    if args.json:
+        document = {"schema": "softmap.replay/1", "periods": len(recording.periods), "seconds": seconds}
+        document |= {"bus": recording.bus}
+        print(json.dumps(document | {"otherwise": differ, "short": recording.short, "run": args.run}))
+    else:
+        said = "every one decided alike" if not differ else f"{len(differ)} decided otherwise, the first is {differ[0]}"
+        print(f"{args.recording}: {len(recording.periods)} periods in {seconds:.1f} s, {said}")
+        if args.run:
+            print(f"{args.run}: written")
+    if lacks:
+        warnings.warn(RecordingWarning(lacks), stacklevel=2)
+    if said := words.bus(recording.bus):
+        to_stderr(f"softmap replay: {said}")
+    return OTHERWISE if differ or recording.short else 0

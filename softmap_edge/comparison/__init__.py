@@ -1,0 +1,1 @@
+"""How far off a model is, where, and when: after a run and during one."""

@@ -1,0 +1,332 @@
+"""How far a model is from a measured run, and where: by section, direction, speed, dwell, history, command and time.
+
+    d(k, n) = |predicted - seen| of point n in frame k, mm, visible points only
+    rms = sqrt(mean d²); tip = the same for the centroid of the tip points; a cell's rms is over its frames' points
+
+Nothing is fitted here. Whether the error is held out depends on whether the run took part in making the model.
+Units: mm, s. Pinned by tests/test_compare.py.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softmap_edge.checks.lost_points import without_lost
+from softmap_edge.diagnosis.findings import Bin
+from softmap_edge.errors import ComparisonError
+from softmap_edge.model.views import members, roll_seen, without_roll
+from softmap_edge.noise.floor import BOUND, commanded, memoryless_floor, noise_floor, rms
+from softmap_edge.run.conditions import Cell, cells, conditions
+from softmap_edge.run.run import Run, known
+
+if TYPE_CHECKING:
+    from softmap_edge.model.model import Model
+
+Floats = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+SCHEMA = "softmap.comparison/1"
+
+
+@dataclass(frozen=True)
+class MemorylessFloor:
+    """The error in mm RMS below which no model without memory can go, and the data that show it.
+
+    `poses` were visited again, in so many `passages` and `frames`.
+    """
+
+    mm: float
+    poses: int
+    passages: int
+    frames: int
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return it as plain numbers."""
+        return asdict(self)
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """The error of one model on one run; prints itself, and `to_dict()` is the document softmap.comparison/1."""
+
+    run: dict[str, Any]
+    bundle: dict[str, Any]
+    frames: int
+    error: dict[str, float]
+    noise_floor_mm: float | None
+    where: dict[str, list[Bin]]
+    worst: dict[str, Any]
+    made_from: dict[str, Any]
+    memoryless: MemorylessFloor | None = None  # None where too few poses are repeated
+
+    def __str__(self) -> str:
+        from softmap_edge.comparison.text import comparison_text
+
+        return comparison_text(self)
+
+    @property
+    def floor_kind(self) -> str:
+        """What the noise floor was taken from."""
+        return str(self.made_from.get("noise_floor", "origin not stated"))
+
+    @property
+    def floor_is_bound(self) -> bool:
+        """Whether the noise floor holds more than noise."""
+        return self.floor_kind.endswith(BOUND)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the document softmap.comparison/1: plain numbers, strings, lists and dicts."""
+        return {
+            "schema": SCHEMA,
+            "run": self.run,
+            "bundle": self.bundle,
+            "frames": self.frames,
+            "error": {key: value if math.isfinite(value) else None for key, value in self.error.items()},
+            "noise_floor_mm": self.noise_floor_mm,
+            "memoryless_floor": None if self.memoryless is None else self.memoryless.to_dict(),
+            "where": {name: [asdict(row) for row in rows] for name, rows in self.where.items()},
+            "worst": self.worst,
+            "made_from": self.made_from,
+        }
+
+    @classmethod
+    def from_dict(cls, document: Any) -> Comparison:
+        """Read a document softmap.comparison/1.
+
+        Args:
+            document: what `to_dict()` gave, also after a passage through JSON.
+
+        Returns:
+            Comparison: equal to the one that was written.
+
+        Raises:
+            ComparisonError: another schema, or a missing or malformed entry.
+        """
+        schema = document.get("schema") if isinstance(document, dict) else None
+        if schema != SCHEMA:
+            raise ComparisonError(
+                f"this is no comparison: schema {schema!r}, expected {SCHEMA!r}; make one with `softmap compare --json`"
+            )
+        try:
+            where = {str(name): [_bin(row) for row in rows] for name, rows in document["where"].items()}
+            floor = document["noise_floor_mm"]
+            return cls(
+                run=dict(document["run"]),
+                bundle=dict(document["bundle"]),
+                frames=int(document["frames"]),
+                error={key: _length(document["error"][key]) for key in ERROR_KEYS},
+                noise_floor_mm=None if floor is None else float(floor),
+                where=where,
+                worst=dict(document["worst"]),
+                made_from=dict(document["made_from"]),
+                memoryless=_memoryless(document.get("memoryless_floor")),
+            )
+        except (KeyError, TypeError, ValueError, AttributeError) as error:
+            raise ComparisonError(
+                f"damaged comparison ({type(error).__name__}: {error}); make it again with `softmap compare --json`"
+            ) from None
+
+
+TIMED = ("speed", "dwell", "time")  # maps of the error that a log without time lacks
+ERROR_KEYS = ("rms_mm", "median_mm", "p95_mm", "max_mm", "tip_rms_mm")
+
+
+def compare(model: Model, run: Run) -> Comparison:
+    """Measure how far a model's prediction is from a run, and where.
+
+    Args:
+        model: predicts (K, N, 3) mm for the run by `predict(run)`.
+        run: a run with points that keep their identity (vertices or markers) in at least one frame.
+
+    Returns:
+        Comparison: error figures, noise floor and the map of the error over the conditions of the run.
+
+    Raises:
+        ComparisonError: nothing is seen, or what is predicted cannot be compared with it.
+        RunError: it is a run of another robot.
+    """
+    run, _ = without_lost(run)
+    predicted, seen, visible = aligned(model, run)
+    squared = np.where(visible, np.sum((predicted - seen) ** 2, axis=2), 0.0)  # (K, N) mm²
+    distance = np.sqrt(squared[visible])
+    state = conditions(run, model.commands(run))
+    where = {"section": _by_section(model, squared, visible, getattr(run, "marker_names", []))}
+    for name, row in cells(state, model.command_unit).items():
+        if run.timeless and name in TIMED:
+            continue
+        where[name] = [_bin_of(cell, squared, visible) for cell in row]
+    where = {name: [row for row in rows if row.n > 0] for name, rows in where.items()}
+    tip_seen, tip_predicted = tips(model, predicted, seen, visible)
+    with_tip = ~np.isnan(tip_seen[:, 0])
+    error = {
+        "rms_mm": math.sqrt(float(np.mean(distance**2))),
+        "median_mm": float(np.median(distance)),
+        "p95_mm": float(np.percentile(distance, 95)),
+        "max_mm": float(np.max(distance)),
+        "tip_rms_mm": rms(np.sum((tip_predicted - tip_seen)[with_tip] ** 2, axis=1)),
+    }
+    stands = conditions(run, commanded(run))
+    floor, kind = noise_floor(stands, seen, visible, predicted, template(model, seen))
+    repeats = memoryless_floor(run, state, seen, visible)
+    return Comparison(
+        run={"robot": run.robot or "not named", "sha256": run.hash()},
+        bundle={"robot": model.robot, "effects": list(model.chain_names), "sha256": _model_digest(model)},
+        frames=len(seen),
+        error=error,
+        noise_floor_mm=floor,
+        where=where,
+        worst=_worst(where, squared, visible, run),
+        made_from=_made_from(kind, model, run),
+        memoryless=None
+        if repeats is None
+        else MemorylessFloor(repeats.mm, repeats.poses, repeats.passages, len(repeats.rows)),
+    )
+
+
+def aligned(model: Model, run: Run) -> tuple[Floats, Floats, Mask]:
+    """Prediction, measurement (hidden points zero) and visibility with equal shapes, or an error that says why not."""
+    if len(run.t_seen) == 0:
+        raise ComparisonError(
+            "the run has no seen frames (K = 0), so there is nothing to compare with; record one that is seen"
+        )
+    seen = np.asarray(model.points_in_mm(run), float)
+    predicted = np.asarray(model.predict(run), float)
+    if predicted.shape != seen.shape:
+        raise ComparisonError(
+            f"the model predicts {predicted.shape} (frames, points, xyz), the run has {seen.shape}; "
+            "take the bundle of this robot and template"
+        )
+    visible = known(run, seen)
+    if not visible.any():
+        raise ComparisonError("no point is visible in any frame of the run; check its field `visible`")
+    if not np.isfinite(predicted[visible]).all():
+        raise ComparisonError(
+            "the model predicts values that are not finite for this run; look at it with `softmap check`"
+        )
+    seen = np.where(visible[..., None], seen, 0.0)
+    if not roll_seen(model, run):  # a turn about the body's axis was not measured, and counts nowhere
+        off = np.where(visible[..., None], seen - predicted, 0.0)[..., None]
+        predicted = seen - without_roll(members(model.sections), off, predicted, visible.astype(float))[..., 0]
+    return predicted, seen, visible
+
+
+def mean_root(squared: Floats, visible: Mask, axis: int) -> Floats:
+    """RMS along an axis over what is visible; NaN where nothing is."""
+    count = visible.sum(axis=axis)
+    total = squared.sum(axis=axis)
+    return np.asarray(np.sqrt(np.divide(total, count, out=np.full(len(count), np.nan), where=count > 0)))
+
+
+def tips(model: Model, predicted: Floats, seen: Floats, visible: Mask) -> tuple[Floats, Floats]:
+    """Tip centroids seen and predicted, over the tip points visible in a frame; NaN where none is.
+
+    Markers carried on a template: the marker that moves most is the tip.
+    """
+    index = np.asarray(model.tip_indices, int)
+    if seen.shape[1] != len(model.rest):
+        index = np.array([int(np.argmax(np.linalg.norm(np.ptp(predicted, axis=0), axis=1)))])
+    weight = visible[:, index].astype(float)  # (K, n)
+    count = weight.sum(axis=1)
+    scale = np.divide(1.0, count, out=np.full(len(count), np.nan), where=count > 0)[:, None]
+    both = [np.einsum("kn,knc->kc", weight, points[:, index]) * scale for points in (seen, predicted)]
+    return both[0], both[1]
+
+
+def _by_section(model: Model, squared: Floats, visible: Mask, names: list[str]) -> list[Bin]:
+    """One bin per section of the template, base first, with its height range; one per marker for markers."""
+    count = squared.shape[1]
+    markers = model.markers or len(model.rest) != count
+    sections = np.arange(count) if markers else np.asarray(model.sections)
+    labels = np.unique(sections)
+    rows = []
+    for position, section in enumerate(labels):
+        member = sections == section
+        sums, counts = squared[:, member], visible[:, member]
+        if not counts.any():
+            continue
+        end = {0: " base", len(labels) - 1: " tip"}.get(position, "")
+        own = names[section] if names else f"marker {position + 1}"
+        name = own if markers else f"{position + 1}{end}"
+        height = None if markers else np.asarray(model.along)[member]
+        low, high = (None, None) if height is None else (float(height.min()), float(height.max()))
+        rows.append(Bin(name, low, high, int(counts.any(axis=1).sum()), rms(sums[counts])))
+    return rows
+
+
+def _bin_of(cell: Cell, squared: Floats, visible: Mask) -> Bin:
+    inside = visible[cell.frames]
+    count = int(inside.any(axis=1).sum())
+    return Bin(cell.label, cell.low, cell.high, count, rms(squared[cell.frames][inside]) if count else 0.0)
+
+
+def _worst(where: dict[str, list[Bin]], squared: Floats, visible: Mask, run: Run) -> dict[str, Any]:
+    """The bin that stands out most in each condition, worst first, and the worst frame."""
+    least = max(3, round(0.02 * len(squared)))
+    found: list[dict[str, Any]] = []
+    for name, rows in where.items():
+        enough = [row for row in rows if row.n >= least]
+        if len(enough) > 1:
+            top = max(enough, key=lambda row: row.rms_mm)
+            found.append({"where": name, "label": top.label, "n": top.n, "rms_mm": top.rms_mm})
+    frame = mean_root(squared, visible, 1)
+    k = int(np.nanargmax(frame))
+    return {
+        "bins": sorted(found, key=lambda row: -float(row["rms_mm"]))[:4],
+        "frame": {"index": k, "t_s": float(run.t_seen[k]), "rms_mm": float(frame[k])},
+    }
+
+
+def template(model: Model, seen: Floats) -> Floats | None:
+    """The template at rest (N, 3), if the seen points are its vertices."""
+    whole = not model.markers and len(model.rest) == seen.shape[1]
+    return np.asarray(model.rest, float) if whole else None
+
+
+def _model_digest(model: Model) -> str:
+    """A hash of what predicts: the prior's and the fields' arrays, template, chain, parameters and calibration."""
+    sha = hashlib.sha256()
+    for room, arrays in sorted(model.arrays.items()):
+        for name in sorted(arrays):
+            sha.update(f"{room}/{name}".encode())
+            sha.update(np.ascontiguousarray(arrays[name]).tobytes())
+    sha.update(np.ascontiguousarray(model.rest, dtype=float).tobytes())
+    sha.update(repr(sorted(model.params.items())).encode())
+    sha.update(b"" if model.calibration is None else repr(model.calibration.to_dict()).encode())
+    return sha.hexdigest()
+
+
+def _made_from(kind: str, model: Model, run: Run) -> dict[str, Any]:
+    from softmap_edge.version import __version__
+
+    made: dict[str, Any] = {"softmap_edge": __version__, "numpy": np.__version__, "noise_floor": kind}
+    made |= {} if model.output is None else {"output": model.output.to_dict()}
+    return made | ({"timeless": True} if run.timeless else {})
+
+
+def _length(value: Any) -> float:
+    """Read a length; null is one that is not known, as the tip's where the tip is never seen."""
+    return math.nan if value is None else float(value)
+
+
+def _memoryless(entry: Any) -> MemorylessFloor | None:
+    """Read the floor of models without memory; earlier documents have none."""
+    if entry is None:
+        return None
+    return MemorylessFloor(float(entry["mm"]), *(int(entry[key]) for key in ("poses", "passages", "frames")))
+
+
+def _bin(row: Any) -> Bin:
+    low, high = row["low"], row["high"]
+    return Bin(
+        str(row["label"]),
+        None if low is None else float(low),
+        None if high is None else float(high),
+        int(row["n"]),
+        float(row["rms_mm"]),
+    )

@@ -1,0 +1,230 @@
+"""A model's error while a robot runs: of the newest frames, over the last seconds, and since the beginning.
+
+Positions of the servos arrive period by period, frames when they are ready. The chain of effects is advanced by the new
+periods alone and keeps its memory. A frame waits for the positions of its time, and is then compared with the shape at
+the effective commands, so the error is that of the complete run. Effective commands are kept for `KEPT` s; a shape with
+memory uses no more of them.
+Known limit: an effect of the user's own cannot be advanced; with one all positions are kept and rolled out each time.
+Pinned by tests/test_live.py.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softmap_edge import _core
+from softmap_edge.comparison.comparison import aligned
+from softmap_edge.errors import ComparisonError, RunError
+from softmap_edge.model.chain_labels import valued
+from softmap_edge.model.model import Model
+from softmap_edge.robot.link.frames import Frame, HostClock
+from softmap_edge.run.run import Run
+
+Floats = NDArray[np.float64]
+
+SCHEMA = "softmap.live/1"
+RECENT = 5.0  # s
+NOW = 0.5  # s
+KEPT = 60.0  # s for which is kept what acted: a frame that arrives later is left out
+AROUND = 1.0  # s about a frame whose acting its shape may need: a clock may be shifted by half a second
+FRESH = 64  # frames that are compared at a time, the newest: what a slow computer cannot follow is left out
+
+
+@dataclass(frozen=True)
+class Now:
+    """Errors in mm (RMS over points; NaN where no frame was) now, over the last `RECENT` s and since the beginning."""
+
+    seconds: float
+    frames: int
+    now_mm: float
+    recent_mm: float
+    whole_mm: float
+    worst_mm: float
+    left_out: int
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return it as a document softmap.live/1."""
+        told = {name: value for name, value in vars(self).items()}
+        plain = {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in told.items()}
+        return {"schema": SCHEMA, **plain, "recent_s": RECENT}
+
+    def __str__(self) -> str:
+        def mm(value: float) -> str:
+            return f"{value:.2f} mm" if math.isfinite(value) else "  –   "
+
+        return (
+            f"{self.seconds:7.1f} s  now {mm(self.now_mm)}  last {RECENT:g} s {mm(self.recent_mm)}  since the "
+            f"beginning {mm(self.whole_mm)}, {self.frames} frames"
+        )
+
+
+class Live:
+    """Compares `model` with what happens; `late` s is what the quickest frame takes.
+
+    Raises:
+        ComparisonError: the model has no calibration of the servos.
+    """
+
+    def __init__(self, model: Model, late: float = 0.0) -> None:
+        if model.calibration is None:
+            raise ComparisonError(
+                "the bundle holds no calibration of the servos, so their ticks mean nothing to it; `softmap calibrate`"
+            )
+        self._acts, self._shape = _advancing(model), _shape(model)
+        remembering = {entry["name"] for entry in _core.effects() if entry["remembers"]}
+        self._remembers = not remembering.isdisjoint(model.chain_names)
+        self._model, self._clock = model, HostClock(late)
+        shift = dict(model.params).get("clock_shift.late", 0.0)
+        self._ahead = max(0.0, -shift)  # s by which positions have to be ahead of a frame
+        self._begun = math.nan  # s of the host at the first period; all other times are since then
+        self._t, self._acting = np.zeros(0), np.zeros((0, model.channels))
+        self._waiting: deque[Frame] = deque()
+        self._first: float | None = None  # when the first frame was seen
+        self._errors: deque[tuple[float, float, int]] = deque()  # s, mean square mm², points, of the last RECENT s
+        self._square, self._points, self._worst, self._frames, self.left_out = 0.0, 0, math.nan, 0, 0
+
+    def drove(self, periods: Iterable[dict[str, Any]]) -> None:
+        """Take periods of a loop; those in which a servo was not heard count nothing.
+
+        Raises:
+            RunError: they are not of this robot, or damaged.
+        """
+        times: list[float] = []
+        rows: list[list[float]] = []
+        last = float(self._t[-1]) if len(self._t) else -math.inf
+        for period in periods:
+            try:
+                now, position = period["now"] * 1e-9, period["position"]
+                if None in position:
+                    continue
+                ticks = [float(tick) for tick in position]
+            except (KeyError, TypeError, ValueError) as fault:
+                raise RunError(f"a period of the recording is damaged ({fault!s:.60})") from None
+            if len(ticks) != self._model.channels:
+                raise RunError(
+                    f"the recording is of {len(ticks)} servos, the model takes {self._model.channels} commands"
+                )
+            self._begun = now if math.isnan(self._begun) else self._begun
+            if now - self._begun > last:
+                last = now - self._begun
+                times.append(last)
+                rows.append(ticks)
+        if times and self._model.calibration is not None:
+            t, u = np.array(times), self._model.calibration.commands(np.rint(rows))
+            kept = self._t > t[-1] - KEPT
+            self._acting = np.concatenate([self._acting[kept], self._acts(u, t)])
+            self._t = np.concatenate([self._t[kept], t])
+
+    def saw(self, frames: Sequence[Frame]) -> None:
+        """Take the frames that a camera keeps; those that were taken before count once."""
+        self._waiting.extend(self._clock.add(frames))
+
+    def compared(self) -> Now:
+        """Compare what can be compared now, and return how far off the model is."""
+        if self._waiting and len(self._t) > 1:
+            taken = self._clock.times(self._waiting) - self._begun
+            ready = int(np.searchsorted(taken, self._t[-1] - self._ahead))
+            frames = [self._waiting.popleft() for _ in range(ready)]
+            inside = [(float(t), frame) for t, frame in zip(taken[:ready], frames) if t > self._t[0]][-FRESH:]
+            self.left_out += ready - len(inside)
+            self._compare(inside)
+        end = float(self._t[-1]) if len(self._t) else 0.0
+        while self._errors and self._errors[0][0] < end - RECENT:
+            self._errors.popleft()
+        return Now(
+            seconds=end,
+            frames=self._frames,
+            now_mm=self._since(end - NOW),
+            recent_mm=self._since(end - RECENT),
+            whole_mm=math.sqrt(self._square / self._points) if self._points else math.nan,
+            worst_mm=self._worst,
+            left_out=self.left_out,
+        )
+
+    def _compare(self, inside: list[tuple[float, Frame]]) -> None:
+        if not inside:
+            return
+        points = np.array([frame.points for _, frame in inside], float)
+        shown = np.isfinite(points).all(axis=2)
+        seen_at = np.array([t for t, _ in inside])
+        self._first = float(seen_at[0]) if self._first is None else self._first
+        if not shown.any():
+            return
+        begin, end = np.searchsorted(self._t, [seen_at[0] - AROUND, seen_at[-1] + AROUND])
+        near = slice(0 if self._remembers else max(int(begin) - 1, 0), int(end) + 1)
+        if self._first < seen_at[0]:  # drift is counted from the first frame: it is there, and shows nothing
+            seen_at = np.concatenate([[self._first], seen_at])
+            points = np.concatenate([np.zeros_like(points[:1]), points])
+            shown = np.concatenate([np.zeros_like(shown[:1]), shown])
+        vertices = not self._model.markers and points.shape[1] == len(self._model.rest)
+        run = Run(
+            t=self._t[near],
+            command=self._acting[near],
+            command_unit=self._model.command_unit,
+            t_seen=seen_at,
+            vertices=points if vertices else None,
+            markers=None if vertices else points,
+            visible=shown,
+            robot=self._model.robot,
+        )
+        predicted, seen, visible = aligned(self._shape, run)
+        squared = np.where(visible, np.sum((predicted - seen) ** 2, axis=2), 0.0).sum(axis=1)
+        for at, square, count in zip(seen_at, squared, visible.sum(axis=1)):
+            if count:
+                self._frames += 1
+                self._errors.append((float(at), float(square / count), int(count)))
+                self._square, self._points = self._square + float(square), self._points + int(count)
+                self._worst = max(math.sqrt(square / count), 0.0 if math.isnan(self._worst) else self._worst)
+
+    def _since(self, begin: float) -> float:
+        total, points = 0.0, 0
+        for t, square, count in reversed(self._errors):
+            if t < begin:
+                break
+            total, points = total + square * count, points + count
+        return math.sqrt(total / points) if points else math.nan
+
+
+def _channel(name: str) -> bool:
+    """Return whether an effect changes the commands, and may remember them."""
+    return next(bool(one["role"] == "channel") for one in _core.effects() if one["name"] == name)
+
+
+def _shape(model: Model) -> Model:
+    """Return the model of what is acting already: without the effects that change commands, and without ticks."""
+    names = tuple(name for name in model.chain_names if not _channel(name))
+    rest = _core.Chain(list(names), model.channels)
+    params = valued(rest, model.params, rest.null)
+    return replace(model, chain_names=names, chain_params=params, calibration=None)
+
+
+def _advancing(model: Model) -> Callable[[Floats, Floats], Floats]:
+    """Return what makes of new commands (n, C) at (n,) s what acts (n, C), after all that it was given before."""
+    chain, params = model.chain, model.chain_params[None]
+    own = {effect["name"] for effect in _core.effects() if effect["own"]} & set(model.chain_names)
+    state: Floats | None = None
+    before_u, before_t = np.zeros((0, model.channels)), np.zeros(0)
+
+    def gravity(t: Floats) -> Floats:
+        return np.ascontiguousarray(np.broadcast_to(model.gravity_reference, (len(t), 3)))
+
+    def advanced(u: Floats, t: Floats) -> Floats:
+        nonlocal state
+        acting, state = chain.advance(params, np.ascontiguousarray(u), t, gravity(t), state=state)
+        return np.asarray(acting[0])
+
+    def anew(u: Floats, t: Floats) -> Floats:
+        nonlocal before_u, before_t
+        before_u, before_t = np.concatenate([before_u, u]), np.concatenate([before_t, t])
+        return np.asarray(chain.rollout(params, before_u, before_t, gravity(before_t))[0, -len(t) :])
+
+    if not model.chain_names:
+        return lambda u, t: u
+    return anew if own else advanced

@@ -1,1 +1,0 @@
-"""Where the tip should go: inverse kinematics, paths and their timing, tracking."""

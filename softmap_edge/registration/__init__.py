@@ -1,1 +1,0 @@
-"""Registration: the template of a finger laid onto point clouds of it."""

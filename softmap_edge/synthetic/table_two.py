@@ -1,0 +1,210 @@
+"""The paper's Table II: letters S, H, O, E led by one solved sequence each, on a simulator and on a stand-in.
+
+    targets ──inverse kinematics of a model──> commands ──> simulator of the finger  (paper: simulation)
+                                                       └──> virtual finger           (paper: hardware)
+
+The virtual finger (`synthetic/virtual_finger.py`) stands in for hardware, is simulated, and has what the model lacks:
+other elements and material, turned tendons, friction, a lean. A bundle that was calibrated on it sends ticks; without a
+calibration, as a rival's, the servos turn as told, by the map that they really have.
+A figure lies about the tip at rest: a model's own while it is solved, the executed finger's own while it is judged, so
+that where a finger merely hangs otherwise does not count. The tip is the middle of the vertices that move most, on a
+rival's own points while it is solved. Errors are distances in mm in the plane of the figure, at the waypoints.
+The paper's figures are of another finger, simulator, letters and amplitude. Pinned by tests/test_table_two.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from softmap_edge.errors import SoftmapError
+from softmap_edge.fem.finger import Finger
+from softmap_edge.fem.simulator import Simulator
+from softmap_edge.model.model import Model
+from softmap_edge.model.servo_calibration import Calibration
+from softmap_edge.robot.drive.track import Course, course, spread
+from softmap_edge.robot.emulated.laws import rotation
+from softmap_edge.robot.emulated.published_map import PUBLISHED
+from softmap_edge.robot.motion.kinematics import AXES, Kinematics
+from softmap_edge.robot.servo.loop_limits import ACCELERATION, SLEW
+from softmap_edge.run.protocol import HANGING, Protocol
+from softmap_edge.synthetic.virtual_finger import VirtualFinger, virtual_finger
+
+Floats = NDArray[np.float64]
+Progress = Callable[[str, float], None]
+
+LETTERS = ("S", "H", "O", "E")
+PLANE = "xy"
+OURS, UNDONE, RIVAL = "ours", "ours, effects undone", "rival"
+WHERE = ("simulator", "stand_in")
+# Table II: mean, standard deviation and largest in mm, in simulation and on hardware; the paper's own data.
+PUBLISHED_ERRORS = {
+    ("S", OURS): ((1.124, 0.617, 1.95), (3.458, 2.976, 15.38)),
+    ("H", OURS): ((1.214, 0.652, 2.55), (3.569, 2.343, 10.3)),
+    ("O", OURS): ((1.184, 0.182, 1.499), (1.387, 0.831, 3.839)),
+    ("E", OURS): ((1.174, 0.755, 2.509), (2.616, 1.777, 8.05)),
+    ("S", RIVAL): ((2.685, 1.109, 3.646), (5.917, 5.12, 23.154)),
+    ("H", RIVAL): ((2.766, 0.999, 4.319), (5.854, 3.816, 14.7)),
+    ("O", RIVAL): ((1.336, 0.918, 1.582), (3.164, 1.683, 6.887)),
+    ("E", RIVAL): ((1.889, 0.92, 3.015), (4.791, 3.174, 14.76)),
+}
+
+
+@dataclass(frozen=True)
+class Row:
+    """One letter led by one model: what it `expected` of itself, what happened on the `simulator` and the `stand_in`,
+    errors (T,) mm at the waypoints; `unreachable` mm, the farthest that a waypoint is from what was solved."""
+
+    figure: str
+    model: str
+    expected: Floats
+    simulator: Floats
+    stand_in: Floats
+    unreachable: float
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return means, standard deviations and the largest, with the paper's beside them."""
+        found: dict[str, Any] = {"figure": self.figure, "model": self.model, "unreachable_mm": self.unreachable}
+        found |= {f"{name}_mm": spread(getattr(self, name)) for name in ("expected", *WHERE)}
+        published = PUBLISHED_ERRORS.get((self.figure, self.model))
+        if published is None:
+            return found | {"paper": None}
+        told = (dict(zip(("mean", "sd", "max"), of)) for of in published)
+        return found | {"paper": dict(zip(("simulation_mm", "hardware_mm"), told)) | {"on": "other data"}}
+
+
+@dataclass(frozen=True)
+class Contender:
+    """A model by its name in the table, its world (`gravity` (3,) g, None as it hangs), and the map of its servos."""
+
+    name: str
+    model: Model
+    gravity: Floats | None
+    calibration: Calibration | None
+
+
+def contenders(model: Model, rival: Model | None, finger: VirtualFinger) -> list[Contender]:
+    """Return who is compared: the model without its effects, with them if it has some, and a rival.
+
+    What is learned on top of the effects goes with them; they are undone in the orientation that the stand-in declares.
+
+    Raises:
+        SoftmapError: a model of another finger.
+    """
+    for one in (model, rival):
+        if one is not None and (one.robot != finger.finger.name or one.channels != len(PUBLISHED.home)):
+            raise SoftmapError(
+                f"the bundle is of '{one.robot}', {one.channels} commands; the table is of '{finger.finger.name}', "
+                f"{len(PUBLISHED.home)}: it is solved there"
+            )
+    map_, found = model.calibration, []
+    plain = model.bare()
+    found.append(Contender(OURS, plain, None, map_))
+    if model.chain_names:
+        leaning = np.asarray(HANGING) @ rotation((*finger.declared_deg, 0.0)).T
+        found.append(Contender(UNDONE, model, leaning, map_))
+    if rival is not None:
+        found.append(Contender(RIVAL, rival, None, map_))
+    return found
+
+
+def table_two(
+    model: Model,
+    rival: Model | None,
+    *,
+    seed: int = 1,
+    amplitude: float = 8.0,
+    duration: float = 20.0,
+    rate: float = 3.0,
+    method: str = "paper",
+    figures: Sequence[str] = LETTERS,
+    progress: Progress | None = None,
+) -> list[Row]:
+    """Lead all letters by all models, and replay each sequence on both fingers.
+
+    Args:
+        model: ours. rival: another, as `softmap train prior --model deepsoro` makes it. seed: draws the stand-in; a
+        bundle should be calibrated on that of the same seed. amplitude: mm. duration: s. rate: waypoints a second.
+        method: how inverse kinematics is solved. progress: told what is done and the share.
+
+    Raises:
+        SoftmapError: a model of another finger, or as `course`.
+    """
+    finger = virtual_finger(seed)
+    simulator, tip = Simulator(Finger.builtin()), model.tip_indices
+    todo = [(figure, one) for figure in figures for one in contenders(model, rival, finger)]
+    rows = []
+    for k, (figure, one) in enumerate(todo):
+        if progress is not None:
+            progress(f"{figure}, {one.name}", k / len(todo))
+        kinematics = Kinematics(replace(one.model, calibration=one.calibration), gravity=one.gravity, axes=PLANE)
+        planned = course(
+            kinematics, figure, amplitude=amplitude, duration=duration, rate=rate, slew=[SLEW] * 2,
+            acceleration=[ACCELERATION] * 2, calibration=one.calibration or _told(), method=method,
+        )  # fmt: skip
+        plan = planned.plan
+        seen = np.flatnonzero(np.append(True, planned.counts[1:]))  # at rest, then the figure
+        simulated = simulator.path(plan.commands[seen])
+        stood = _stand_in(finger, planned, one.calibration, seen)
+        on_both = (_off(planned, shapes[:, tip].mean(axis=1), seen) for shapes in (simulated, stood))
+        one_error, other_error = on_both
+        expected, farthest = plan.distance[planned.counts], plan.unreachable[planned.counts].max()
+        rows.append(Row(figure, one.name, expected, one_error, other_error, float(farthest)))
+    return rows
+
+
+def _told() -> Calibration:
+    """Return the servos' own map, where the commands of a model are taken as they are."""
+    return Calibration.stated(PUBLISHED.slope, PUBLISHED.shift, PUBLISHED.home, "the servos' own map")
+
+
+def _stand_in(
+    finger: VirtualFinger, planned: Course, calibration: Calibration | None, seen: NDArray[np.int64]
+) -> Floats:
+    """Return the true points (K, N, 3) mm of the virtual finger at waypoints `seen` (K,): servos turn whole ticks."""
+    plan = planned.plan
+    ticks = PUBLISHED.to_ticks(plan.commands) if calibration is None else calibration.ticks(plan.commands)
+    gravity = np.tile(HANGING, (len(plan.t), 1))
+    block = np.full(len(seen), "figure")
+    return finger.shapes(Protocol("table", plan.t, finger.servos.to_mm(ticks), gravity, plan.t[seen], block))
+
+
+def _off(planned: Course, tip: Floats, seen: NDArray[np.int64]) -> Floats:
+    """Return how far (T,) mm a tip (1 + T, 3), at rest and at waypoints, is from its figure about where it rested."""
+    wanted = planned.plan.targets[seen] - planned.plan.targets[0]
+    counts = [axis in PLANE for axis in AXES]
+    return np.asarray(np.linalg.norm(((tip - tip[0]) - wanted)[1:, counts], axis=1))
+
+
+def text_of(document: dict[str, Any]) -> str:
+    """Return the table as text, the paper's columns beside ours."""
+
+    def numbers(told: dict[str, Any] | None) -> str:
+        return "–" if told is None else "{mean:.2f} ± {sd:.2f}, {max:.2f}".format(**told)
+
+    head = ("", "", "the model itself", "simulator", "stand-in", "paper: simulation", "paper: hardware")
+    lines = [head]
+    for row in document["rows"]:
+        paper = row["paper"] or {}
+        columns = [row[f"{name}_mm"] for name in ("expected", *WHERE)]
+        columns += [paper.get(name) for name in ("simulation_mm", "hardware_mm")]
+        name = document["rival"] or RIVAL if row["model"] == RIVAL else row["model"]
+        lines.append((row["figure"], name, *map(numbers, columns)))
+    widths = [max(len(line[k]) for line in lines) for k in range(len(head))]
+    told = ["  ".join(cell.ljust(width) for cell, width in zip(line, widths)).rstrip() for line in lines]
+    effects = ", ".join(document["effects"]) or "none"
+    told += [
+        f"mm in the plane: mean ± standard deviation, largest, at {document['waypoints']} waypoints a letter, "
+        f"half a side {document['amplitude_mm']:g} mm; solved by method '{document['method']}'; "
+        f"effects of the bundle: {effects}.",
+        f"The stand-in is the virtual finger of seed {document['seed']}: simulated, no hardware. The paper's columns "
+        "are of other data: its own finger, letters, sizes.",
+    ]
+    far = max(row["unreachable_mm"] for row in document["rows"])
+    if far > 0.01:
+        told.append(f"Some waypoints are out of reach of a model, or missed by that method, by up to {far:.2f} mm.")
+    return "\n".join(told)
