@@ -15,10 +15,11 @@ from scipy.optimize import least_squares
 
 from benches.data import ROOT
 from softmap_edge import Diagnosis, Model, Run, diagnose, import_logs, learn_model, read_mapping
+from softmap_edge.model.basis import Basis
 from softmap_edge.model.chain_labels import grouped
+from softmap_edge.model.polynomial_rod import RodParameters
 from softmap_edge.rod.learn import learn
-from softmap_edge.rod.polynomial import RodParameters
-from softmap_edge.rod.regression import Basis, Drive, Record, Regression, rms
+from softmap_edge.rod.regression import Drive, Record, Regression, rms
 from softmap_edge.run.folds import folds
 
 COMMANDS = "control_inputs_controlled_1.csv"

@@ -13,11 +13,12 @@ from logs import published
 
 from softmap_edge import Run, learn_model, load_bundle, save_bundle
 from softmap_edge.cli import main
+from softmap_edge.model.basis import Basis
 from softmap_edge.rod import memory
 from softmap_edge.rod.covered_folds import search_folds
 from softmap_edge.rod.learn import learn, learned_model
 from softmap_edge.rod.reference_run import observe
-from softmap_edge.rod.regression import Basis, Record
+from softmap_edge.rod.regression import Record
 from softmap_edge.rod.signals import Family, families
 from softmap_edge.rod.static_map import StaticMap
 

@@ -6,8 +6,8 @@ from test_compare import lean, triangle
 
 from softmap_edge.comparison.comparison import compare
 from softmap_edge.comparison.series import Loop, series, tip_loops
+from softmap_edge.diagnosis.family_text import family_facts, family_line
 from softmap_edge.diagnosis.text import diagnosis_text
-from softmap_edge.report.families import family_facts, family_line
 from softmap_edge.report.html import write_html
 from softmap_edge.report.loop_figure import worst_cycle
 

@@ -13,12 +13,13 @@ import pytest
 from command import SOFTMAP
 
 from softmap_edge import Run, compare, diagnose, import_logs, learn_model, load_bundle, read_mapping
+from softmap_edge.comparison.in_unit import comparison_in_unit
 from softmap_edge.comparison.series import Loop, series
 from softmap_edge.comparison.text import comparison_text
 from softmap_edge.errors import RunError
 from softmap_edge.model.bundle import save_bundle
 from softmap_edge.report.html import write_html
-from softmap_edge.report.in_unit import comparison_in_unit, in_unit, words_in_unit
+from softmap_edge.run.in_unit import in_unit, words_in_unit
 from softmap_edge.run.output import FARTHEST, RANGE_MM, Output, output_of
 
 STIFF, STOP, SLIP = 2.0, 6.0, 3.0  # N/mm of the spring and of the stop, and mm at which the stop slips

@@ -10,8 +10,8 @@ import pytest
 from test_rod import commands
 
 from softmap_edge import Run, load_bundle, save_bundle
+from softmap_edge.model.polynomial_rod import RodParameters
 from softmap_edge.rod.learn import learn, learned_model
-from softmap_edge.rod.polynomial import RodParameters
 
 PULLS = (0.060, 0.050), (0.075, 0.055)  # rad per mm of the two cables of each command: no two are alike
 

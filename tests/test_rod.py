@@ -11,10 +11,11 @@ from softmap_edge import _core
 from softmap_edge.cli import main
 from softmap_edge.diagnosis.diagnose import diagnose
 from softmap_edge.errors import RunError, SoftmapError
+from softmap_edge.model.basis import Basis
 from softmap_edge.model.bundle import load_bundle, save_bundle
+from softmap_edge.model.polynomial_rod import RodParameters
 from softmap_edge.rod.learn import LearnedRod, learn, learn_model
-from softmap_edge.rod.polynomial import RodParameters
-from softmap_edge.rod.regression import Basis, Drive, Record, Regression, rms
+from softmap_edge.rod.regression import Drive, Record, Regression, rms
 from softmap_edge.run.folds import folds
 from softmap_edge.run.run import Run
 

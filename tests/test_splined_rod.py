@@ -13,9 +13,10 @@ from test_rod import commands
 
 from softmap_edge import Run, _core, learn_model, load_bundle, save_bundle
 from softmap_edge.errors import SoftmapError
+from softmap_edge.model.basis import Basis
+from softmap_edge.model.polynomial_rod import RodParameters
 from softmap_edge.rod.learn import learn, learned_model
-from softmap_edge.rod.polynomial import RodParameters
-from softmap_edge.rod.regression import Basis, _ridge
+from softmap_edge.rod.regression import _ridge
 
 
 def slack(u):

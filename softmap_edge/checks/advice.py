@@ -19,7 +19,7 @@ from softmap_edge.checks.collinear import collinear_conditions, tied_channels
 from softmap_edge.model.coverage import apart, said_apart
 from softmap_edge.noise.floor import commanded, noise_of_points
 from softmap_edge.noise.repeats import LONG_DWELL
-from softmap_edge.run.conditions import STILL, Conditions, conditions, last_direction, orientations
+from softmap_edge.run.conditions import STILL, WARMING, Conditions, conditions, last_direction, orientations
 from softmap_edge.run.folds import GAP, LEAST_FRAMES, without_gap
 from softmap_edge.run.plane import AXES, plane_of, unmeasured
 from softmap_edge.run.rest_command import far_from_home, rest_command
@@ -37,7 +37,6 @@ GAP_SAMPLES, GAP_S = 10.0, 1.0  # usual steps, and s, beyond which nothing was s
 MINORITY = 0.1  # of the frames reached from the rarer side
 TOGETHER = 0.95  # correlation from which two channels are one
 PAIRS = 4  # of such channels that are named
-WARMING = 3.0  # °C by which it must have changed
 DWELL_FRAMES = LONG_DWELL + 2  # in three dwells they tell the noise (`noise.ENOUGH`)
 BESIDE = 0.02  # of their length: markers nearer to one line than this show no twist
 

@@ -23,9 +23,10 @@ from softmap_edge.files.numbers import fall
 from softmap_edge.model.bundle import builtin_model, save_bundle
 from softmap_edge.model.model import Model
 from softmap_edge.report.html import write_html
+from softmap_edge.robot.emulated.named_laws import check_hidden
 from softmap_edge.run.protocol import Protocol, other_protocol, standard_protocol
 from softmap_edge.run.run import Run
-from softmap_edge.synthetic.finger import WATCH, Truth, check_hidden, hide, surprise
+from softmap_edge.synthetic.finger import WATCH, Truth, hide, surprise
 
 SCHEMA = "softmap.demo/1"
 FIRST_SEED = 1

@@ -216,7 +216,8 @@ def record(args: argparse.Namespace) -> int:
     """Play a command file on a robot, or on the simulated finger, and write the run."""
     from softmap_edge.fem.finger import Finger
     from softmap_edge.robot.drive.command_file import read_commands
-    from softmap_edge.synthetic.finger import WATCH, check_hidden
+    from softmap_edge.robot.emulated.named_laws import check_hidden
+    from softmap_edge.synthetic.finger import WATCH
 
     if args.recover:
         from softmap_edge.commands.record_robot import recover

@@ -99,10 +99,10 @@ def learn_arguments(parser: argparse.ArgumentParser) -> None:
 
 def learn(args: argparse.Namespace) -> int:
     """Fit a rod to reference runs and write its bundle."""
-    from softmap_edge.report.in_unit import words_in_unit
     from softmap_edge.rod.learn import learn as fit
     from softmap_edge.rod.learn import learned_model
     from softmap_edge.rod.robot import Robot
+    from softmap_edge.run.in_unit import words_in_unit
 
     check_bundle(args.out, args.force)
     held_out = [_interval(text) for text in args.hold_out]

@@ -10,9 +10,10 @@ import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+from softmap_edge.comparison.in_unit import comparison_in_unit
 from softmap_edge.errors import ReportError
 from softmap_edge.files.numbers import BAR, bar, fall, folded, mm, percent
-from softmap_edge.report.in_unit import PLACES, comparison_in_unit, unit_of
+from softmap_edge.run.in_unit import PLACES, unit_of
 
 if TYPE_CHECKING:
     from softmap_edge.comparison.comparison import Comparison

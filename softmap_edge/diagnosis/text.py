@@ -11,10 +11,10 @@ from collections.abc import Mapping
 from typing import Any
 
 from softmap_edge.diagnosis.document import VERDICTS, Diagnosis
+from softmap_edge.diagnosis.family_text import LEARNED, family_lines, learned_line
 from softmap_edge.diagnosis.findings import Certificate, read
 from softmap_edge.files.numbers import LARGEST, bar, folded, mm, number, percent, tamed
-from softmap_edge.report.families import LEARNED, family_lines, learned_line
-from softmap_edge.report.in_unit import PLACES, in_unit, output_of, unit_of
+from softmap_edge.run.in_unit import PLACES, in_unit, output_of, unit_of
 
 
 def diagnosis_text(document: Mapping[str, Any]) -> str:

@@ -20,7 +20,6 @@ from softmap_edge.errors import RunError, brief
 from softmap_edge.files.toml import TomlTable, shown
 from softmap_edge.logs.measured import Column, Measured, columns_of, measured_of, not_seen_of, per_column
 from softmap_edge.logs.time_keys import NO_TIME as NO_TIME
-from softmap_edge.logs.time_keys import ROW_S as ROW_S
 from softmap_edge.logs.time_keys import TIME as TIME
 from softmap_edge.logs.time_keys import Clock as Clock
 from softmap_edge.logs.time_keys import clock_of

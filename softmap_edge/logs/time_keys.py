@@ -8,9 +8,9 @@ from softmap_edge.errors import RunError
 from softmap_edge.files.toml import TomlTable, shown
 from softmap_edge.logs.measured import Column
 from softmap_edge.logs.time_text import ORDERS
+from softmap_edge.run.fields import ROW_S
 
 NO_TIME = "none"  # the `time` of a log without time: its rows are counted
-ROW_S = 0.05  # s for each row of such a log: the rate at which a model is learned, so that no row is left out
 TIME = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0, "d": 86400.0}  # → s
 
 

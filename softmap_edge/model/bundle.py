@@ -270,7 +270,7 @@ def _model(folder: Path, manifest: dict[str, Any], trusted: Trust) -> Model:
         cables = cables_from(arrays["prior"], arrays["fields"])
         second = second_from(arrays["fields"])
     else:
-        from softmap_edge.rod.learn import rod_from_arrays
+        from softmap_edge.model.polynomial_rod import rod_from_arrays
 
         prior, fields = rod_from_arrays(arrays["prior"])
         Coverage.from_arrays(arrays["prior"], manifest["channels"])  # or reports what is wrong with it

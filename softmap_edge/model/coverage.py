@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.errors import SoftmapError
-from softmap_edge.rod.regression import RIDGE, SQUARES, Basis
+from softmap_edge.model.basis import RIDGE, SQUARES, Basis
 
 Floats = NDArray[np.float64]
 

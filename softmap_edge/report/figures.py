@@ -26,7 +26,7 @@ from softmap_edge.comparison.series import Series
 from softmap_edge.comparison.text import WHERE
 from softmap_edge.diagnosis.text import ladder_steps
 from softmap_edge.files.numbers import mm
-from softmap_edge.report.in_unit import PLACES
+from softmap_edge.run.in_unit import PLACES
 
 Floats = NDArray[np.float64]
 

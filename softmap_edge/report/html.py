@@ -14,6 +14,7 @@ from types import ModuleType
 from typing import Any
 
 from softmap_edge.comparison.comparison import Comparison
+from softmap_edge.comparison.in_unit import comparison_in_unit, series_in_unit
 from softmap_edge.comparison.series import Series
 from softmap_edge.comparison.text import check_pair
 from softmap_edge.diagnosis.document import VERDICTS, Diagnosis
@@ -32,8 +33,8 @@ from softmap_edge.files.atomic import write_whole
 from softmap_edge.files.numbers import fall, mm, number, percent, tamed
 from softmap_edge.report.families import family_section, learned_section
 from softmap_edge.report.html_open import open_questions
-from softmap_edge.report.in_unit import PLACES, comparison_in_unit, in_unit, series_in_unit, unit_of
 from softmap_edge.report.style import PAGE, TONES, cards, escaped, picture, section
+from softmap_edge.run.in_unit import PLACES, in_unit, unit_of
 
 INSTALL = "pip install 'softmap-edge[report]'"
 

@@ -7,8 +7,8 @@ from typing import Any
 
 from softmap_edge.diagnosis.text import alternative_name, servo_row, untestable_rows
 from softmap_edge.files.numbers import mm, number, tamed
-from softmap_edge.report.in_unit import unit_of
 from softmap_edge.report.style import escaped
+from softmap_edge.run.in_unit import unit_of
 
 
 def open_questions(found: Mapping[str, Any]) -> str:

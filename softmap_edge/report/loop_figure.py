@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from softmap_edge.comparison.series import Loop, Series
 from softmap_edge.report.figures import AFTER, BEFORE, FAINT, INK, PALE, STYLE, WIDE, clean, svg
-from softmap_edge.report.in_unit import PLACES
 from softmap_edge.report.style import escaped, picture, section
+from softmap_edge.run.in_unit import PLACES
 
 Floats = NDArray[np.float64]
 

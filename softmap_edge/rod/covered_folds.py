@@ -13,9 +13,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from softmap_edge.model.basis import SQUARES, Basis
 from softmap_edge.model.coverage import Coverage
 from softmap_edge.rod.reference_run import Seen
-from softmap_edge.rod.regression import SQUARES, Basis
 from softmap_edge.run.folds import FOLDS, GAP, Folds, Index, folds, labelled, run_folds
 
 UNCOVERED = 0.1  # share of the held-out frames that the others may leave uncovered

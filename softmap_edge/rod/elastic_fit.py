@@ -19,12 +19,12 @@ from numpy.typing import NDArray
 
 from softmap_edge import _core
 from softmap_edge.errors import RobotError, RunError
+from softmap_edge.model.basis import Basis
 from softmap_edge.model.elastic_rod import Coordinates, ElasticParameters
 from softmap_edge.rod.covered_folds import search_folds
 from softmap_edge.rod.descent import Term, descend
 from softmap_edge.rod.memory import FRAMES, Memory, find_memory
 from softmap_edge.rod.reference_run import Fitted, Number, Seen
-from softmap_edge.rod.regression import Basis
 from softmap_edge.rod.static_map import StaticMap
 from softmap_edge.run.folds import Folds
 

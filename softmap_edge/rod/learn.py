@@ -18,18 +18,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from softmap_edge import _core
 from softmap_edge.alignment.base_motion import kept_places
 from softmap_edge.checks.lost_points import without_lost
 from softmap_edge.errors import RunError, SoftmapError
 from softmap_edge.model.coverage import Coverage, apart, said_apart
-from softmap_edge.model.elastic_rod import ElasticParameters
 from softmap_edge.model.learned_in import LearnedIn
 from softmap_edge.model.model import NOMINAL, Model
 from softmap_edge.model.safety import derived
 from softmap_edge.model.servo_calibration import from_home
 from softmap_edge.rod.elastic_fit import fit_elastic, fit_for
-from softmap_edge.rod.polynomial import RodParameters, fit_polynomial
+from softmap_edge.rod.polynomial import fit_polynomial
 from softmap_edge.rod.reference_run import Fitted, Number, Rod, Seen, observe
 from softmap_edge.rod.regression import rms
 from softmap_edge.run.folds import folds
@@ -382,13 +380,6 @@ def learned_model(runs: Run | Sequence[Run], learned: LearnedRod) -> Model:
         stiffness_known=False,
     )
     return replace(model.with_effects(learned.chain_names, learned.chain_params), safety=derived(model))
-
-
-def rod_from_arrays(arrays: Mapping[str, NDArray[np.generic]]) -> tuple[_core.Shape, dict[str, Any]]:
-    """Return the compiled rod and its load fields from the arrays of `prior.npz`."""
-    kind: type[ElasticParameters | RodParameters] = ElasticParameters if "numbers" in arrays else RodParameters
-    parameters = kind.from_arrays(arrays)
-    return parameters.compiled(), dict(parameters.fields())
 
 
 def _gravity(run: Run) -> Floats:

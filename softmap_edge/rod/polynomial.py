@@ -12,29 +12,17 @@ recovery.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from softmap_edge import _core
 from softmap_edge.errors import RunError, SoftmapError
+from softmap_edge.model.basis import SPLINE_DEGREE, SQUARES, Basis
 from softmap_edge.model.model import TIP_PER_NEWTON
+from softmap_edge.model.polynomial_rod import RodParameters
 from softmap_edge.rod.covered_folds import covered_folds, search_folds
 from softmap_edge.rod.memory import FEW_CHANNELS, FRAMES, Memory, find_memory, refined_memory
 from softmap_edge.rod.reference_run import Fitted, Seen
-from softmap_edge.rod.regression import (
-    RIDGE,
-    RIDGE_STEPS,
-    SPLINE_DEGREE,
-    SQUARES,
-    Basis,
-    Regression,
-    Weights,
-    choose_basis,
-    compiled,
-)
+from softmap_edge.rod.regression import RIDGE_STEPS, Regression, choose_basis
 from softmap_edge.rod.static_map import StaticMap
 from softmap_edge.run.folds import Folds
 
@@ -44,90 +32,9 @@ Arrays = dict[str, NDArray[np.generic]]
 DEGREES = (1, 2, 3)
 DEGREES_OF_ONE = (1, 2, 3, 4, 5)  # of a single command: the highest that the frames identify, without a ridge
 CUBIC = 3
-INTERVALS, MOST_INTERVALS = 8, 64  # of splines: eight make (8 + 3)² = 121 terms of two commands
+INTERVALS = 8  # of splines: eight make (8 + 3)² = 121 terms of two commands
 SPLINED_CHANNELS = 2  # up to here splines are tried; of three commands they would have 1331 terms
 LEVEL, FAR_BELOW = 1e-6, 20.0  # of the range of markers: a height below this is constant, an output; base of outputs
-LOCK = 1.0  # the servos hold, so a load bends each chord into an S and leaves its ends' directions alone
-
-
-@dataclass(frozen=True, eq=False)
-class RodParameters:
-    """The numbers of a rod.
-
-    `base` (3,) mm, `centre` and `scale` (C,) in command units, `degree`, `angles` (1 + F, 2K) rad, `lengths` (1 + G, K)
-    mm, the nominal `compliance` of its load fields in N⁻¹·mm⁻² and their `lock`: how far the tendons hold each chord's
-    mean bending against a load, 0 (not at all) to 1 (motors that hold, tendons that do not stretch). `pulled` says that
-    the polynomial is one of the pulls of two cables a command; with `intervals` it is a sum of splines of so many.
-    """
-
-    base: Floats
-    centre: Floats
-    scale: Floats
-    degree: int
-    angles: Floats
-    lengths: Floats
-    compliance: float
-    lock: float = LOCK
-    pulled: bool = False
-    intervals: int = 0
-
-    @property
-    def basis(self) -> Basis:
-        """The terms of its map."""
-        return Basis(self.degree, self.pulled, self.intervals)
-
-    def compiled(self) -> _core.Rod:
-        """Return the compiled rod: commands (n, C) to markers (n, 3K) mm."""
-        return compiled(Weights(self.centre, self.scale, self.angles, self.lengths), self.base, self.basis)
-
-    def fields(self) -> dict[str, _core.RodField]:
-        """Return its load fields by name: mm per N of tip force, mm per g for a nominal weight of 1 N."""
-        rod = self.compiled()
-        return {name: _core.RodField(rod, name, self.compliance, self.lock) for name in _core.LOADS}
-
-    def to_arrays(self) -> Arrays:
-        """Return the arrays of `prior.npz`."""
-        arrays: Arrays = {name: getattr(self, name) for name in ("base", "centre", "scale", "angles", "lengths")}
-        single = {name: getattr(self, name) for name in ("degree", "compliance", "lock", "pulled", "intervals")}
-        return arrays | {name: np.array([value]) for name, value in single.items()}
-
-    def __str__(self) -> str:
-        """Say in a line what it is."""
-        return f"rod of {self.lengths.shape[1]} chords, {self.basis}"
-
-    @classmethod
-    def from_arrays(cls, arrays: Mapping[str, NDArray[np.generic]]) -> RodParameters:
-        """Read the arrays of `prior.npz`.
-
-        Raises:
-            SoftmapError: an array is missing or has the wrong number of axes.
-        """
-        axes = {"base": 1, "centre": 1, "scale": 1, "angles": 2, "lengths": 2, "degree": 1, "compliance": 1, "lock": 1}
-        axes |= {name: 1 for name in ("pulled", "intervals") if name in arrays}  # earlier versions have none
-        values: dict[str, Floats] = {}
-        for name, ndim in axes.items():
-            if name not in arrays or np.ndim(arrays[name]) != ndim:
-                got = f"of {np.ndim(arrays[name])} axes" if name in arrays else "missing"
-                raise SoftmapError(f"rod: array '{name}' is {got}, expected {ndim} axes; learn the bundle again")
-            values[name] = np.ascontiguousarray(arrays[name], float)
-        single = {name: values.pop(name).tolist() for name in ("degree", "compliance", "lock")}
-        single |= {name: values.pop(name, np.zeros(1)).tolist() for name in ("pulled", "intervals")}
-        for name, value in single.items():
-            if len(value) != 1:
-                raise SoftmapError(f"rod: '{name}' holds {len(value)} numbers, expected one; learn the bundle again")
-        (degree,), (compliance,), (lock,), (pulled,), (intervals,) = single.values()
-        if not 0 <= intervals <= MOST_INTERVALS or intervals % 1:
-            raise SoftmapError(f"rod: {intervals:g} intervals, expected 0 to {MOST_INTERVALS}; learn the bundle again")
-        if degree not in range(1, len(RIDGE) + 1):
-            raise SoftmapError(f"rod: degree {degree}, expected 1 to {len(RIDGE)}; learn the bundle again")
-        return cls(
-            degree=int(degree),
-            compliance=compliance,
-            lock=lock,
-            pulled=pulled == 1.0,
-            intervals=int(intervals),
-            **values,
-        )
 
 
 def fit_polynomial(

@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 
 from softmap_edge import _core
 from softmap_edge.errors import RunError
+from softmap_edge.model.basis import SQUARES, Basis
 from softmap_edge.model.servo_calibration import from_home
-from softmap_edge.rod.regression import SQUARES, Basis, Drive, Record, rms
+from softmap_edge.rod.regression import Drive, Record, rms
 from softmap_edge.run.folds import Folds
 from softmap_edge.run.run import Run, Source, known
 

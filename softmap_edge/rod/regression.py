@@ -8,126 +8,28 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cached_property
 from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge import _core
+from softmap_edge.model.basis import Basis, commanded_range
 from softmap_edge.model.chain_labels import valued
+from softmap_edge.model.polynomial_rod import Weights, compiled
 from softmap_edge.run.folds import Folds
 
 Floats = NDArray[np.float64]
 
-RIDGE = (3e-5, 9e-4, 3e-4, 3e-4, 3e-4)  # by degree 1…5, for |q| ≤ 1
 RIDGE_STEPS = (1e-7, 1e-3, 1e-2, 0.1, 1.0 / 3.0, 1.0, 3.0, 10.0)
 LENGTH_RIDGE = 1e-10
-SPLINE_DEGREE = 3
-ROUGHNESS = 1e-3  # penalty of a roughness of 1, at a ridge of 1: ridges then reach from interpolation to a straight map
-
-
-@dataclass(frozen=True)
-class Basis:
-    """The terms of a static map.
-
-    They are all monomials up to `degree` of the normalised commands, or of the pulls of cables, or with `intervals`
-    the tensor products of cubic B-splines, so many intervals a command. A command above 0 pulls one cable and lets the
-    other one fall slack, and the reverse: a `pulled` basis has two variables a command, max(u, 0) and max(−u, 0).
-
-    Splines are taken in the directions of their roughness R = Σ_c |second differences along c|². A ridge on each
-    direction, in proportion to its roughness, is then the smoothness penalty of a P-spline (Eilers and Marx 1996,
-    doi:10.1214/ss/1038425655).
-    """
-
-    degree: int
-    pulled: bool = False
-    intervals: int = 0
-
-    def span(self, u: Floats) -> tuple[Floats, Floats]:
-        """Return `centre` and `scale` (C,) by which commands (n, C) are normalised to −1 … 1."""
-        if not self.pulled:
-            return _span(u)
-        most = np.abs(u).max(axis=0)
-        return np.zeros(u.shape[1]), np.where(most > 0, most, 1.0)
-
-    def columns(self, u: Floats) -> Floats:
-        """Return the terms (n, F) of commands (n, C), normalised by their own range."""
-        centre, scale = self.span(u)
-        return self.terms((u - centre) / scale)
-
-    def terms(self, q: Floats) -> Floats:
-        """Return the terms (n, F) of normalised commands (n, C)."""
-        if self.intervals:
-            splines = _core.tensor_splines(np.ascontiguousarray(q), self.intervals)
-            return np.asarray(splines @ _smooth(q.shape[1], self.intervals)[0])
-        if self.pulled:
-            q = np.concatenate([np.maximum(q, 0.0), np.maximum(-q, 0.0)], axis=1)
-        return _core.monomials(np.ascontiguousarray(q), self.degree)
-
-    def penalty(self, channels: int) -> Floats:
-        """Return the penalty (F,) of each term at a ridge of 1."""
-        if self.intervals:
-            return _smooth(channels, self.intervals)[1]
-        degrees = _core.monomial_degrees((1 + self.pulled) * channels, self.degree)
-        return np.array([RIDGE[degree - 1] for degree in degrees])
-
-    def in_core(self, weights: Floats, channels: int) -> Floats:
-        """Return weights (1 + F, outputs) of the terms, intercept first, as the rod of the core takes them."""
-        if not self.intervals:
-            return weights
-        return np.concatenate([weights[:1], _smooth(channels, self.intervals)[0] @ weights[1:]])
-
-    def count(self, channels: int) -> int:
-        """Return the number of terms F."""
-        return len(self.penalty(channels))
-
-    def __str__(self) -> str:
-        """Say in a few words what the map is made of."""
-        if self.intervals:
-            return f"cubic splines of {self.intervals} intervals"
-        return f"degree {self.degree}" + (" in the pulls of the cables" if self.pulled else "")
-
-
-@cache
-def _smooth(channels: int, intervals: int) -> tuple[Floats, Floats]:
-    """Return directions (S, F) of tensor splines by their roughness, without the constant, and their penalties (F,)."""
-    each = intervals + SPLINE_DEGREE
-    second = np.diff(np.eye(each), 2, axis=0)
-    rough: Floats = np.zeros((each**channels, each**channels))
-    for c in range(channels):
-        before, behind = np.eye(each**c), np.eye(each ** (channels - 1 - c))
-        rough = rough + np.asarray(np.kron(np.kron(before, second.T @ second), behind))
-    values, directions = np.linalg.eigh(rough)
-    flat = directions[:, : 2**channels]  # products of lines, which have no roughness
-    constant = np.full(len(rough), len(rough) ** -0.5)
-    flat = np.linalg.svd(flat - np.outer(constant, constant @ flat))[0][:, : 2**channels - 1]
-    penalty = np.concatenate([np.full(flat.shape[1], RIDGE[0]), ROUGHNESS * values[2**channels :]])
-    return np.concatenate([flat, directions[:, 2**channels :]], axis=1), penalty
-
-
-SQUARES = Basis(2)
-
-
-@dataclass(frozen=True, eq=False)
-class Weights:
-    """A fitted rod: `centre` and `scale` (C,) of the commands, `angles` (1 + F, 2K) rad, `lengths` (1 + G, K) mm."""
-
-    centre: Floats
-    scale: Floats
-    angles: Floats
-    lengths: Floats
 
 
 def normalise(u: Floats) -> Floats:
     """Return q (n, C): commands within −1 … 1 over their own range."""
-    centre, scale = _span(u)
+    centre, scale = commanded_range(u)
     return np.ascontiguousarray((u - centre) / scale)
-
-
-def _span(u: Floats) -> tuple[Floats, Floats]:
-    low, high = u.min(axis=0), u.max(axis=0)
-    return (low + high) / 2.0, np.where(high > low, (high - low) / 2.0, 1.0)
 
 
 def _angles(markers: Floats, base: Floats) -> tuple[Floats, Floats]:
@@ -188,14 +90,6 @@ class Regression:
         """Return the rod fitted on all frames."""
         angles = basis.in_core(self.angle_weights(u, basis, ridge)[-1], u.shape[1])
         return Weights(*basis.span(u), angles, self.length_weights[-1])
-
-
-def compiled(weights: Weights, base: Floats, basis: Basis) -> _core.Rod:
-    """Return the compiled rod: commands (n, C) to markers (n, 3K) mm."""
-    return _core.Rod(
-        base, weights.centre, weights.scale, basis.degree, weights.angles, weights.lengths, basis.pulled,
-        basis.intervals,
-    )  # fmt: skip
 
 
 def rms(residuals: Floats) -> float:

@@ -18,7 +18,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from softmap_edge.rod.regression import RIDGE_STEPS, Basis, normalise
+from softmap_edge.model.basis import Basis
+from softmap_edge.rod.regression import RIDGE_STEPS, normalise
 from softmap_edge.rod.signals import splines
 from softmap_edge.run.folds import Folds
 

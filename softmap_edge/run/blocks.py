@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from softmap_edge.checks.advice import WARMING
-from softmap_edge.run.conditions import NEAR
+from softmap_edge.run.conditions import NEAR, WARMING
 from softmap_edge.run.folds import GAP
 from softmap_edge.run.run import Run
 

@@ -22,6 +22,7 @@ Mask = NDArray[np.bool_]
 WINDOW_SAMPLES, WINDOW_SHORTEST, WINDOW_LONGEST = 3.0, 0.1, 0.5  # velocity window: median periods; s; s
 STILL = 0.005  # of the largest command span, per second: slower than this is not a motion
 NEAR = np.cos(np.radians(20.0))  # orientations within 20 degrees count as one
+WARMING = 3.0  # °C of a change of temperature that counts
 TURNED = 0.02  # change of the unit gravity vector between frames, about a degree: another orientation
 ALIKE = 0.02  # of the largest: commands nearer to one another than this are one size
 HOME = 0.1  # of the largest |command|: closer to zero than this is "home"

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from softmap_edge.logs.time_keys import ROW_S
+from softmap_edge.run.fields import ROW_S
 from softmap_edge.run.pieces import spans
 from softmap_edge.run.run import OURS, Run
 

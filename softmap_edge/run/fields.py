@@ -44,6 +44,7 @@ AXES: dict[str, tuple[str, str]] = {
     "frame_sigma": ("6", "real"),
     "cameras": ("A34", "real"),
 }
+ROW_S = 0.05  # s for each row of a log without time: the rate at which a model is learned, so that no row is left out
 _TIME = (-1e11, 1e11, "s", "convert the time to seconds")
 _TICKS = (-1e7, 1e7, "ticks", "a servo turn has about 4096 ticks; give ticks counted from home")
 _PLACE = (-1e4, 1e4, "mm", "convert the points to mm")

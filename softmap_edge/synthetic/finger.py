@@ -25,12 +25,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge import _core
-from softmap_edge.errors import SoftmapError, no_name
+from softmap_edge.errors import SoftmapError
 from softmap_edge.fem.finger import Finger
 from softmap_edge.fem.simulator import Simulator, tour
 from softmap_edge.geometry.sections import SECTIONS, sections_of
 from softmap_edge.robot.emulated.laws import LAWS, NEWTON_PER_GRAM, Law, rotation
-from softmap_edge.robot.emulated.named_laws import NAMED
+from softmap_edge.robot.emulated.named_laws import NAMED, check_hidden
 from softmap_edge.run.protocol import Protocol, standard_protocol
 from softmap_edge.run.run import Run
 
@@ -179,17 +179,6 @@ def hide(names: Sequence[str], seed: int, camera: Camera | None = None, finger: 
     plain = Truth(seed, (), camera or Camera(), finger or _builtin())
     named = [_named(name, plain) for name in NAMED if name in names]
     return replace(plain, secrets=(*named, *(_drawn(name, plain) for name in LAWS if name in names)))
-
-
-def check_hidden(names: Sequence[str], seed: int) -> None:
-    """Raise SoftmapError where `hide` cannot hide `names`: before anything is solved."""
-    unknown = [name for name in names if name not in {**NAMED, **LAWS}]
-    if unknown:
-        raise SoftmapError(no_name("hidden law", unknown[0], [*LAWS, *NAMED]))
-    if len(set(names)) != len(names):
-        raise SoftmapError(f"each effect can be hidden once, got {', '.join(names)}")
-    if seed < 0:
-        raise SoftmapError(f"seed {seed} is negative; give 0 or more")
 
 
 def surprise(seed: int) -> list[str]:

@@ -29,12 +29,12 @@ from softmap_edge.fem.cut import Cut
 from softmap_edge.fem.finger import Finger, Tendon
 from softmap_edge.fem.simulator import Simulator, Template
 from softmap_edge.robot.emulated.laws import LAWS, BoucWen, Law, TrueWeight, rotation
-from softmap_edge.robot.emulated.named_laws import NAMED
+from softmap_edge.robot.emulated.named_laws import NAMED, check_hidden
 from softmap_edge.robot.emulated.published_map import PUBLISHED, ServoMap
 from softmap_edge.run.protocol import Protocol
 from softmap_edge.run.run import Run
 from softmap_edge.synthetic.depth_camera import TWO, DepthCameras
-from softmap_edge.synthetic.finger import Secret, Truth, Vector, check_hidden, different, hide, toured
+from softmap_edge.synthetic.finger import Secret, Truth, Vector, different, hide, toured
 
 Floats = NDArray[np.float64]
 Arrays = dict[str, NDArray[Any]]

@@ -24,7 +24,7 @@ from softmap_edge.model.model import Model
 from softmap_edge.model.servo_calibration import Calibration, tendon_mm
 from softmap_edge.robot.commissioning.setup import Found, gains, set_up
 from softmap_edge.robot.emulated.laws import LAWS, Law
-from softmap_edge.robot.emulated.named_laws import NAMED
+from softmap_edge.robot.emulated.named_laws import NAMED, check_hidden
 from softmap_edge.robot.emulated.streamed_laws import streamed
 from softmap_edge.robot.emulated.tendon_load import tendon_loads
 from softmap_edge.robot.link.frames import Frame
@@ -36,7 +36,6 @@ from softmap_edge.robot.servo.loop_limits import loop_limits, servo_limits
 from softmap_edge.robot.servo.models import servo_model
 from softmap_edge.robot.servo.rig import Rig, RigServo
 from softmap_edge.run.rest_command import home_command
-from softmap_edge.synthetic.finger import check_hidden
 
 Floats = NDArray[np.float64]
 

@@ -6,13 +6,15 @@ and tests/test_truth.py.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import cycle
 from typing import Self
 
 import numpy as np
 
-from softmap_edge.robot.emulated.laws import Floats, Law, Numbers
+from softmap_edge.errors import SoftmapError, no_name
+from softmap_edge.robot.emulated.laws import LAWS, Floats, Law, Numbers
 
 
 @dataclass(frozen=True)
@@ -72,3 +74,14 @@ class SwappedServos(Law):
 
 
 NAMED: dict[str, type[Law]] = {law.NAME: law for law in (SwappedServos, OffCentreSpool)}
+
+
+def check_hidden(names: Sequence[str], seed: int) -> None:
+    """Raise SoftmapError where laws cannot be hidden: an unknown name, one twice, a negative seed."""
+    unknown = [name for name in names if name not in {**NAMED, **LAWS}]
+    if unknown:
+        raise SoftmapError(no_name("hidden law", unknown[0], [*LAWS, *NAMED]))
+    if len(set(names)) != len(names):
+        raise SoftmapError(f"each effect can be hidden once, got {', '.join(names)}")
+    if seed < 0:
+        raise SoftmapError(f"seed {seed} is negative; give 0 or more")

@@ -1,4 +1,4 @@
-"""Documents about outputs other than places, with their figures in the output's own unit for a report.
+"""Documents about outputs other than places: their figures in the output's own unit, for a report.
 
 A comparison or diagnosis counts in the model's mm; `made_from.output` holds the mm for one unit. Numbers of commands
 (`1.39 mm on servo 1`) keep their unit. In sentences only values in mm RMS are outputs. Pinned by tests/test_output.py.
@@ -8,16 +8,10 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from softmap_edge.files.numbers import mm
 from softmap_edge.run.output import Output
-
-if TYPE_CHECKING:
-    from softmap_edge.comparison.comparison import Comparison
-    from softmap_edge.comparison.series import Series
-    from softmap_edge.diagnosis.findings import Bin
 
 PLACES = "mm"  # the unit of a run of places
 _RMS = re.compile(r"((?:\d+\.?\d* (?:to|and|of) )?)(\d+\.?\d*) mm RMS")
@@ -55,16 +49,16 @@ def in_unit(document: Mapping[str, Any]) -> dict[str, Any]:
     output = output_of(document.get("made_from") or {})
     if output is None:
         return dict(document)
-    found: dict[str, Any] = _turned(dict(document), output)
+    found: dict[str, Any] = lengths_in_unit(dict(document), output)
     error = dict(document.get("error") or {})
     figures = {key: value for key, value in error.items() if isinstance(value, (int, float)) and key not in _PLAIN}
     error |= {key: output.value(value) for key, value in figures.items()}
     error["ladder"] = [{**row, "value": _value(row.get("value"), output)} for row in error.get("ladder") or []]
-    where = {moment: _renamed(maps) for moment, maps in (found.get("where") or {}).items()}
+    where = {moment: renamed_maps(maps) for moment, maps in (found.get("where") or {}).items()}
     return found | {"error": error | {"unit": output.unit}, "where": where}
 
 
-def _renamed(maps: Mapping[str, Any]) -> dict[str, Any]:
+def renamed_maps(maps: Mapping[str, Any]) -> dict[str, Any]:
     """Return maps of the error with one entry for each output in place of the sections of a body."""
     return {"output" if name == "section" else name: rows for name, rows in maps.items()}
 
@@ -72,15 +66,15 @@ def _renamed(maps: Mapping[str, Any]) -> dict[str, Any]:
 _PLAIN = ("frames", "folds", "numbers")  # entries of `error` that are no lengths
 
 
-def _turned(value: Any, output: Output, key: str = "") -> Any:
+def lengths_in_unit(value: Any, output: Output, key: str = "") -> Any:
     """Return a part of a document with its lengths and sentences converted; fitted numbers keep their unit."""
     if key in ("params", "refitted", "made_from", "servo"):
         return value
     if isinstance(value, Mapping):
         lengths = key == "displacement_mm"
-        return {k: _value(v, output) if lengths else _turned(v, output, str(k)) for k, v in value.items()}
+        return {k: _value(v, output) if lengths else lengths_in_unit(v, output, str(k)) for k, v in value.items()}
     if isinstance(value, list):
-        return [_turned(item, output, key) for item in value]
+        return [lengths_in_unit(item, output, key) for item in value]
     if isinstance(value, str):
         return words_in_unit(value, output)
     return _value(value, output) if key.endswith("_mm") else value
@@ -89,39 +83,3 @@ def _turned(value: Any, output: Output, key: str = "") -> Any:
 def _value(value: Any, output: Output) -> Any:
     known = isinstance(value, (int, float)) and not isinstance(value, bool)
     return output.value(value) if known else value
-
-
-def comparison_in_unit(comparison: Comparison) -> Comparison:
-    """Return a comparison with its figures in the unit of its output; unchanged for places."""
-    output = output_of(comparison.made_from)
-    if output is None:
-        return comparison
-    floor, worst = comparison.noise_floor_mm, _turned(comparison.worst, output)
-    bins = [row | {"where": next(iter(_renamed({row["where"]: 0})))} for row in worst.get("bins") or []]
-
-    def bin_of(row: Bin) -> Bin:
-        return replace(row, rms_mm=output.value(row.rms_mm))
-
-    return replace(
-        comparison,
-        error={key: output.value(value) for key, value in comparison.error.items()},
-        noise_floor_mm=None if floor is None else output.value(floor),
-        where=_renamed({name: [bin_of(row) for row in rows] for name, rows in comparison.where.items()}),
-        worst=worst | {"bins": bins},
-    )
-
-
-def series_in_unit(series: Series) -> Series:
-    """Return the series of a run of outputs with its errors in their unit; unchanged for places."""
-    output = series.output
-    if output is None:
-        return series
-    floor, scale = series.noise_floor_mm, output.mm_per_unit
-    return replace(
-        series,
-        before=series.before / scale,
-        after=None if series.after is None else series.after / scale,
-        point_before=series.point_before / scale,
-        point_after=None if series.point_after is None else series.point_after / scale,
-        noise_floor_mm=None if floor is None else output.value(floor),
-    )
