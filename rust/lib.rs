@@ -4,35 +4,22 @@
 
 #[cfg(test)]
 mod allocations;
-pub mod answer;
-mod cables;
-pub mod complementarity;
-pub mod contact;
+
+pub mod algebra;
 pub mod control;
-mod cubic;
-mod dense;
 pub mod effects;
 pub mod error;
 pub mod families;
 pub mod fem;
-pub mod fields;
 pub mod geometry;
-mod grid;
 pub mod inverse;
-pub mod loads;
-pub mod modes;
+mod memory;
 pub mod network;
 pub mod predict;
-pub mod projected;
 #[cfg(feature = "python")]
 mod python;
+pub mod response;
 pub mod rod;
-mod room;
-pub mod scattered;
-pub mod second;
 pub mod shape;
-pub mod sparse;
-pub mod table;
-mod vector;
 
 pub use error::{Error, Result};

@@ -6,7 +6,7 @@
 use softmap_servo::control::Plan;
 use softmap_servo::guard::MOST_SERVOS;
 
-use crate::dense;
+use crate::algebra::dense;
 use crate::error::{Result, invalid};
 use crate::inverse::chain::Inverse;
 

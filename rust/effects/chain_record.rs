@@ -4,7 +4,7 @@ use super::{Chain, HEAD, Link};
 use crate::effects::conditions::Conditions;
 use crate::effects::declaration::Law;
 use crate::error::{Result, invalid};
-use crate::room::zeros;
+use crate::memory::zeros;
 use rayon::prelude::*;
 
 /// One parameter set whose record is read at K places.

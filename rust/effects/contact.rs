@@ -3,7 +3,7 @@
 //! The obstacle's foremost point is q = (distance·cos heading, distance·sin heading, height), its normal there
 //! n = −(cos heading·cos tilt, sin heading·cos tilt, sin tilt) and its curvature that of a sphere (0: a plane, for which
 //! `height` only matters when it is tilted). Four stations of the body keep outside of it, pushed without friction by the
-//! unit-force fields; how, stands in `rust/contact.rs`. At distance 0 there is no obstacle.
+//! unit-force fields; how, stands in `rust/response/contact.rs`. At distance 0 there is no obstacle.
 //! Limit: linear; where the obstacle holds the body back by many mm, it is held too far.
 
 use super::conditions::Context;

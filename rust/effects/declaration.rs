@@ -8,7 +8,7 @@ use super::conditions::{Conditions, Context};
 use crate::error::Result;
 
 pub use super::conditions::Camera;
-pub use crate::loads::*;
+pub use crate::response::loads::*;
 
 /// Where in the path from command to camera an effect acts; chains are composed in this order.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]

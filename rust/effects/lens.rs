@@ -8,7 +8,7 @@
 
 use super::conditions::Context;
 use super::declaration::*;
-use crate::vector::{Vec3, axpy, dot};
+use crate::algebra::vector::{Vec3, axpy, dot};
 
 pub static EFFECT: Effect = Effect {
     declaration: Declaration {
@@ -102,12 +102,12 @@ fn seen_beside(radial: f64, p: Vec3, cameras: &[Camera]) -> Vec3 {
 
 /// The solution of a symmetric positive definite system, by Cramer's rule along its columns.
 fn solve(system: [Vec3; 3], right: Vec3) -> Vec3 {
-    let det = crate::vector::det(&system);
+    let det = crate::algebra::vector::det(&system);
     [0, 1, 2].map(|c| {
         let mut replaced = system;
         for (row, value) in replaced.iter_mut().zip(right) {
             row[c] = value;
         }
-        crate::vector::det(&replaced) / det
+        crate::algebra::vector::det(&replaced) / det
     })
 }

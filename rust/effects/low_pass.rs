@@ -3,7 +3,7 @@
 //! Over dt, with h = dt/τ and p = (1 − e^(−h))/h:  x ← (1 − ph) x + (p − 1 + ph) u_before + (1 − p) u. Exact to round-off.
 
 use super::conditions::Conditions;
-use crate::modes::wide;
+use crate::shape::modes::wide;
 
 /// Weights (x, u_before, u) that advance a first-order low pass by `dt` under a linear command.
 #[inline]

@@ -12,7 +12,7 @@
 //! Checked by tests/test_level.py.
 
 use crate::error::{Result, invalid};
-use crate::modes::wide;
+use crate::shape::modes::wide;
 use faer::linalg::matmul::matmul;
 use faer::{Accum, Mat, MatRef, Par};
 use std::ops::Range;

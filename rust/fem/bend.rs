@@ -17,7 +17,7 @@ use super::sweep::Simulation;
 use super::work::inner;
 use super::{Vec3, sub};
 use crate::error::Result;
-use crate::loads::{LOADS, TIP_FORCE};
+use crate::response::loads::{LOADS, TIP_FORCE};
 
 /// How far a difference moves the node that moves most, mm.
 const REACH: f64 = 0.1;

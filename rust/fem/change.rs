@@ -14,7 +14,7 @@ use super::natural::MOST_NODES;
 use super::solid::{Design, Solid};
 use super::{Vec3, axpy};
 use crate::error::Result;
-use crate::loads::{ACROSS, CURVE, LOADS, PUSH, ROUTING, STIFF, TWIST};
+use crate::response::loads::{ACROSS, CURVE, LOADS, PUSH, ROUTING, STIFF, TWIST};
 
 /// How much of each field of a design is there.
 pub type Change = [f64; PUSH - LOADS];

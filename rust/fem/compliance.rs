@@ -10,7 +10,7 @@ use super::sweep::Simulation;
 use super::work::inner;
 use super::{Vec3, sub};
 use crate::error::Result;
-use crate::loads::{FIELDS, LOADS, PUSH, TIP_FORCE};
+use crate::response::loads::{FIELDS, LOADS, PUSH, TIP_FORCE};
 
 /// How an equilibrium answers small loads, changes of design and tensions while all other tensions stay as they are.
 #[derive(Debug, Clone, Default)]

@@ -13,8 +13,8 @@
 use super::material::Body;
 use super::natural::Kind;
 use super::{Vec3, axpy, dot};
+use crate::algebra::vector::{cofactor, det};
 use crate::error::{Result, invalid};
-use crate::vector::{cofactor, det};
 
 /// Stiffness of a pair of nodes, N/mm.
 pub type Block = [Vec3; 3];

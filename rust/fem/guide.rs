@@ -12,7 +12,7 @@ use super::embed::Finder;
 use super::mesh::{Mesh, Section, radius_at};
 use super::route::Route;
 use super::{Vec3, axpy, dot, norm, sub};
-use crate::dense;
+use crate::algebra::dense;
 use crate::error::{Result, invalid};
 use std::f64::consts::TAU;
 
@@ -178,7 +178,7 @@ fn add_moving_least_squares(
             moment[i] = axpy(moment[i], phi * r[i], r);
         }
     }
-    let (inverse, det) = crate::vector::cofactor(&moment);
+    let (inverse, det) = crate::algebra::vector::cofactor(&moment);
     if det.is_nan() || det < 1e-9 * moment[0][0].powi(3).max(1e-12) {
         return Err(invalid(format!(
             "tendon guide at x = {:.1}, y = {:.1} mm has too few nodes around it; use a finer core or more rings",

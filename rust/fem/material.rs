@@ -7,7 +7,7 @@
 
 use super::Vec3;
 use crate::error::{Result, invalid};
-use crate::loads::{HATS, hat};
+use crate::response::loads::{HATS, hat};
 use std::sync::Arc;
 
 /// Shear and bulk modulus, MPa.

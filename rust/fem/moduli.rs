@@ -9,7 +9,7 @@ use super::element::{Element, elements};
 use super::material::Body;
 use super::solid::{Design, Solid};
 use crate::error::Result;
-use crate::loads::{LOADS, MODULI, STIFF};
+use crate::response::loads::{LOADS, MODULI, STIFF};
 
 type Elements = Vec<Box<dyn Element>>;
 

@@ -158,7 +158,7 @@ impl Kind {
         for _ in 0..30 {
             let (x, jacobian) = self.place(nodes, xi);
             let gap = sub(p, x);
-            let (cofactor, det) = crate::vector::cofactor(&jacobian);
+            let (cofactor, det) = crate::algebra::vector::cofactor(&jacobian);
             // J⁻¹ is the transposed cofactor over the determinant.
             let step: Vec3 =
                 std::array::from_fn(|i| (0..3).map(|k| cofactor[k][i] * gap[k]).sum::<f64>() / det);

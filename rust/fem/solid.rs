@@ -11,10 +11,10 @@ use super::material::Body;
 use super::mesh::Mesh;
 use super::route::Route;
 use super::{Vec3, axpy, dot, norm, sub};
-use crate::dense;
+use crate::algebra::dense;
+use crate::algebra::sparse::Pattern;
 use crate::error::{Result, invalid};
-use crate::loads::{STANDARD_GRAVITY, STATIONS};
-use crate::sparse::Pattern;
+use crate::response::loads::{STANDARD_GRAVITY, STATIONS};
 
 pub use super::work::Work;
 

@@ -10,7 +10,7 @@ use super::newton::{Solver, State};
 use super::progress::Progress;
 use super::solid::{Load, Solid};
 use crate::error::{Error, Result, invalid};
-use crate::room::room;
+use crate::memory::room;
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicBool, Ordering};
 

@@ -1,19 +1,19 @@
 //! Sweeps against paths, fields against solved loads, the same points on another mesh, stops and refusals.
 
 use super::*;
-use crate::cables::Cables;
-use crate::complementarity::Problem;
+use crate::algebra::complementarity::Problem;
+use crate::algebra::vector::sub;
 use crate::fem::axpy;
 use crate::fem::change::changed;
 use crate::fem::newton::tests::design;
 use crate::fem::norm;
 use crate::fem::solid::Design;
-use crate::grid::Nodes;
-use crate::loads::{
+use crate::response::cables::Cables;
+use crate::response::loads::{
     ACROSS, CONTACT, CURVE, Coefficients, FIELDS, LOADS, ROUTING, STIFF, TENDON, TWIST,
 };
-use crate::table::Table;
-use crate::vector::sub;
+use crate::shape::grid::Nodes;
+use crate::shape::table::Table;
 use std::sync::Arc;
 
 fn small(core: usize, layers: usize, points: Option<&[Vec3]>) -> Simulation {

@@ -145,7 +145,7 @@ fn check_cells(nodes: &[Vec3], cells: &[Vec<usize>]) -> Result<()> {
     for (c, cell) in cells.iter().enumerate() {
         let corner = |i: usize| nodes[cell[i]];
         let edges = [1, 2, 3].map(|i| sub(corner(i), corner(0)));
-        let volume = crate::vector::cofactor(&edges).1 / 6.0;
+        let volume = crate::algebra::vector::cofactor(&edges).1 / 6.0;
         let length = |e: &[usize; 2]| norm(sub(corner(e[0]), corner(e[1])));
         let longest = EDGES.iter().map(length).fold(0.0, f64::max);
         if volume.abs() <= FLAT * longest.powi(3) {
@@ -203,7 +203,7 @@ fn split(nodes: &[Vec3], cells: &[Vec<usize>]) -> Vec<Vec<usize>> {
         for k in 0..4 {
             let mut four = [a, b, ring[k], ring[(k + 1) % 4]];
             let edges = [1, 2, 3].map(|i| sub(at(four[i]), at(four[0])));
-            if crate::vector::cofactor(&edges).1 < 0.0 {
+            if crate::algebra::vector::cofactor(&edges).1 < 0.0 {
                 four.swap(2, 3);
             }
             finer.push(four.map(|i| cell[i]).to_vec());
@@ -239,7 +239,7 @@ pub(crate) mod tests {
         let six: f64 = mesh
             .triangles
             .iter()
-            .map(|t| crate::vector::cofactor(&t.map(at)).1)
+            .map(|t| crate::algebra::vector::cofactor(&t.map(at)).1)
             .sum();
         six / 6.0
     }

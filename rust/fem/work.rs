@@ -9,9 +9,9 @@ use super::cable::Drive;
 use super::element::Block;
 use super::natural::MOST_NODES;
 use super::solid::{HELD, Load, Solid};
-use crate::dense;
+use crate::algebra::dense;
+use crate::algebra::sparse::Factor;
 use crate::error::Result;
-use crate::sparse::Factor;
 
 /// Kept storage of one thread: residual, tangent and factor at the last assembled state.
 pub struct Work<'a> {

@@ -8,9 +8,9 @@
 
 use super::laplacian::Edges;
 use super::rotation::{LANES, NO_TURN, Quaternion, columns, follow, turned};
+use crate::algebra::sparse::{Factor, Pattern};
+use crate::algebra::vector::{Vec3, add, axpy, dot, scaled, sub};
 use crate::error::{Result, invalid};
-use crate::sparse::{Factor, Pattern};
-use crate::vector::{Vec3, add, axpy, dot, scaled, sub};
 use std::sync::Arc;
 
 /// Rounds in which a rotation is followed: from one global step to the next it hardly turns.

@@ -6,8 +6,8 @@
 //! changes, the distance has a kink, and where a pair touches, its share of the gradient is zero.
 
 use super::nearest::{Nearest, both_ways};
+use crate::algebra::vector::{Vec3, axpy, sub};
 use crate::error::{Result, invalid};
-use crate::vector::{Vec3, axpy, sub};
 
 /// What was measured.
 #[derive(Debug, Clone)]

@@ -1,6 +1,6 @@
 //! Points in the order of Morton's curve, which fills space: what is near along it lies near as a rule (Morton 1966).
 
-use crate::vector::Vec3;
+use crate::algebra::vector::Vec3;
 
 /// Cells of the curve along an axis.
 const CELLS: usize = 16;

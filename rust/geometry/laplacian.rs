@@ -3,8 +3,8 @@
 //! (L f)_i = Σ_j w_ij (f_i − f_j), the stiffness of linear elements (Pinkall & Polthier 1993, doi:10.1080/10586458.1993.10504266).
 //! Weights are not let fall below `LEAST`: obtuse triangles make negative ones, and energies that nothing bounds.
 
+use crate::algebra::vector::{Vec3, cross, dot, norm, sub};
 use crate::error::{Result, invalid};
-use crate::vector::{Vec3, cross, dot, norm, sub};
 use std::collections::BTreeMap;
 
 /// The least weight of an edge.

@@ -8,9 +8,9 @@
 //! be called the nearest.
 
 use super::curve::{Ordered, bounds};
+use crate::algebra::vector::{Vec3, norm, sub};
 use crate::error::{Result, invalid};
-use crate::modes::wide;
-use crate::vector::{Vec3, norm, sub};
+use crate::shape::modes::wide;
 
 /// Points of the second set that are looked at together.
 const TILE: usize = 64;

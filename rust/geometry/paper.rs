@@ -10,8 +10,8 @@
 
 use super::arap::Arap;
 use super::nearest::both_ways;
+use crate::algebra::vector::{Vec3, norm, sub};
 use crate::error::Result;
-use crate::vector::{Vec3, norm, sub};
 
 /// Settled when no vertex moves by more in a round, mm.
 const SETTLED: f64 = 1e-3;

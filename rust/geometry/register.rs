@@ -13,9 +13,9 @@ use super::arap::Arap;
 use super::robust::{OF_MEDIAN, median, tukey};
 use super::start::{CUT, spread};
 use super::surface::{Foot, Surface};
+use crate::algebra::sparse::{Factor, Pattern};
+use crate::algebra::vector::{Vec3, dot, sub};
 use crate::error::{Result, invalid};
-use crate::sparse::{Factor, Pattern};
-use crate::vector::{Vec3, dot, sub};
 
 /// Width of the Tukey weights, mm: from, and to where the cloud is noisy; else down to so many times its noise.
 const WIDE: f64 = 3.0;

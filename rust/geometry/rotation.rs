@@ -7,8 +7,8 @@
 //! the axis is v or that of M's lowest eigenvalue λ, about which half a turn gains −2λ: whichever gains more. So a saddle is left
 //! at once, and as tr(RᵀA) has one maximum, its other places without slope being saddles and its minimum, every start leads there.
 
-use crate::modes::wide;
-use crate::vector::{Vec3, dot, norm};
+use crate::algebra::vector::{Vec3, dot, norm};
+use crate::shape::modes::wide;
 use faer::{Mat, Side};
 use std::ops::{Add, Mul, Sub};
 
@@ -208,7 +208,7 @@ where
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::vector::{det, scaled};
+    use crate::algebra::vector::{det, scaled};
     use proptest::prelude::*;
 
     fn turn(axis: Vec3, angle: f64) -> Quaternion {

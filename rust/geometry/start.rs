@@ -7,10 +7,10 @@
 use super::nearest::both_ways;
 use super::robust::{tukey, tukey_cost};
 use super::surface::Surface;
-use crate::dense;
+use crate::algebra::dense;
+use crate::algebra::vector::{Vec3, dot, sub};
 use crate::error::{Result, invalid};
 use crate::shape::Shape;
-use crate::vector::{Vec3, dot, sub};
 
 /// Widths of the Tukey weights, mm, from the first step to the last.
 const WIDE: f64 = 8.0;

@@ -1,7 +1,7 @@
 //! Where on a triangle surface a point is nearest: parry's bounding tree, fitted again as the vertices move. mm.
 
+use crate::algebra::vector::{Vec3, cross, dot, norm, scaled, sub};
 use crate::error::{Result, invalid};
-use crate::vector::{Vec3, cross, dot, norm, scaled, sub};
 use parry3d_f64::math::Vector;
 use parry3d_f64::query::{PointQueryWithLocation, Ray, RayCast};
 use parry3d_f64::shape::TriMesh;

@@ -9,7 +9,7 @@
 //! some tenths of a mm of command; a target in such a fold is missed by those. Pinned by solve_tests.rs and tests/test_kinematics.py.
 
 use super::{Distance, PLACE};
-use crate::dense::eliminate;
+use crate::algebra::dense::eliminate;
 use crate::error::{Result, invalid};
 use crate::shape::Shape;
 use std::sync::Arc;

@@ -2,8 +2,8 @@
 
 use super::arrays::floats;
 use super::table::PyTable;
-use crate::cables::Cables;
-use crate::second::Second;
+use crate::response::cables::Cables;
+use crate::response::second_order::Second;
 use pyo3::prelude::*;
 
 /// How the tensions of n cables answer loads: `stiffness` (n,) N/mm, `pull` → (n,) N, `stretch` → (n·(F + n),) mm per unit

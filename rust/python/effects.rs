@@ -4,7 +4,7 @@ use super::arrays::{Floats, floats};
 use super::at_work;
 use crate::Error;
 use crate::effects::{Chain, Conditions, Context, Parameter, Reach};
-use crate::loads::{self, Coefficients};
+use crate::response::loads::{self, Coefficients};
 use numpy::{IntoPyArray, PyArray1, PyArray2, PyArray3, PyArrayMethods};
 use pyo3::prelude::*;
 

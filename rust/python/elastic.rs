@@ -2,8 +2,8 @@
 
 use super::arrays::floats;
 use super::shape::PyShape;
+use crate::memory::zeros;
 use crate::rod::{ElasticField, ElasticRod, Layout, Tendon};
-use crate::room::zeros;
 use crate::shape::Shape;
 use crate::{Error, Result};
 use numpy::{IntoPyArray, PyArray2, PyArray3, PyArrayMethods};

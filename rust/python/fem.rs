@@ -13,7 +13,7 @@ use crate::fem::newton::newton_step;
 use crate::fem::route::Route;
 use crate::fem::solid::{Design, Solid as FemSolid};
 use crate::fem::sweep::{Configuration, Simulation};
-use crate::loads::{FIELDS, LOADS, MODULI, PUSH};
+use crate::response::loads::{FIELDS, LOADS, MODULI, PUSH};
 use numpy::{PyArray1, PyArray2, PyArray3, PyArray4, PyArrayMethods, PyReadonlyArray2};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;

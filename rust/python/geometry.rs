@@ -3,12 +3,12 @@
 use super::arrays::floats;
 use super::shape::PyShape;
 use crate::Error;
+use crate::algebra::vector::Vec3;
 use crate::geometry::chamfer::Chamfer;
 use crate::geometry::paper::register_as_published;
 use crate::geometry::register::{Recipe, Registered, Registrar, Template};
 use crate::geometry::start::{self, Start};
 use crate::geometry::surface::Surface;
-use crate::vector::Vec3;
 use numpy::{IntoPyArray, PyArray1, PyArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;

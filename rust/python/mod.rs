@@ -108,13 +108,16 @@ mod _core {
     fn init(module: &pyo3::Bound<'_, pyo3::types::PyModule>) -> pyo3::PyResult<()> {
         use pyo3::types::PyModuleMethods;
         module.add("CoreError", module.py().get_type::<super::CoreError>())?;
-        module.add("LOADS", &crate::loads::FIELDS[..crate::loads::LOADS])?;
-        let moduli = crate::loads::STIFF..crate::loads::CURVE;
-        module.add("MODULI", &crate::loads::FIELDS[moduli])?;
-        module.add("STATIONS", crate::loads::STATIONS)?;
-        module.add("FIELDS", crate::loads::FIELDS)?;
+        module.add(
+            "LOADS",
+            &crate::response::loads::FIELDS[..crate::response::loads::LOADS],
+        )?;
+        let moduli = crate::response::loads::STIFF..crate::response::loads::CURVE;
+        module.add("MODULI", &crate::response::loads::FIELDS[moduli])?;
+        module.add("STATIONS", crate::response::loads::STATIONS)?;
+        module.add("FIELDS", crate::response::loads::FIELDS)?;
         module.add("HARDWARE_ERRORS", softmap_servo::registers::HARDWARE_ERRORS)?;
         module.add("FAST_FIRMWARE", softmap_servo::registers::FAST_FIRMWARE)?;
-        module.add("STANDARD_GRAVITY", crate::loads::STANDARD_GRAVITY)
+        module.add("STANDARD_GRAVITY", crate::response::loads::STANDARD_GRAVITY)
     }
 }

@@ -1,8 +1,8 @@
 //! Bindings of the rod and its load fields.
 
+use crate::memory::zeros;
 use crate::python::shape::PyShape;
 use crate::rod::{Form, Monomials, Rod, RodField, Splines, Terms};
-use crate::room::zeros;
 use crate::{Error, Result};
 use numpy::{
     IntoPyArray, PyArray2, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2,

@@ -2,7 +2,7 @@
 
 use super::arrays::floats;
 use super::shape::PyShape;
-use crate::scattered::{Kernel, Scattered};
+use crate::shape::scattered::{Kernel, Scattered};
 use pyo3::prelude::*;
 use std::sync::Arc;
 

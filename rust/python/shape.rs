@@ -2,9 +2,9 @@
 
 use super::arrays::floats;
 use crate::Error;
+use crate::memory::zeros;
 use crate::network::COLUMNS;
-use crate::projected::Projected;
-use crate::room::zeros;
+use crate::shape::projected::Projected;
 use crate::shape::{Shape, Sum, Work};
 use numpy::{
     IntoPyArray, PyArray1, PyArray2, PyArray3, PyArrayMethods, PyReadonlyArray2,

@@ -2,7 +2,7 @@
 
 use super::arrays::floats;
 use super::shape::PyShape;
-use crate::table::Table;
+use crate::shape::table::Table;
 use numpy::{IntoPyArray, PyArray1, PyArray2, PyArrayMethods};
 use pyo3::prelude::*;
 use std::sync::Arc;

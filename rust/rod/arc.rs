@@ -6,7 +6,7 @@
 //! without twist. A point at the share f of it is the end of a segment of length f·L bent by f·v. Units: mm and rad.
 //! All quotients have series near the straight pose, so that nothing is lost at β = 0.
 
-use crate::vector::{Vec3, add, cross, scaled, sub};
+use crate::algebra::vector::{Vec3, add, cross, scaled, sub};
 
 /// Rotation as rows: the axes of the base frame in the columns of the segment's.
 pub(super) type Turn = [Vec3; 3];

@@ -13,10 +13,10 @@
 
 use super::arc::Chain;
 use super::layout::Layout;
-use crate::dense::Factor;
+use crate::algebra::dense::Factor;
+use crate::algebra::vector::Vec3;
 use crate::error::Result;
 use crate::shape::Shape;
-use crate::vector::Vec3;
 use std::sync::Arc;
 
 const STEPS: usize = 100; // of Newton; ten are many

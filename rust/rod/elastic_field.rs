@@ -12,10 +12,10 @@
 
 use super::elastic::{ElasticRod, along};
 use super::field::Load;
+use crate::algebra::vector::Vec3;
 use crate::error::{Result, invalid};
-use crate::loads::{ACROSS, CURVE, FIELDS, PUSH, ROUTING, STIFF, TWIST, covered, width};
+use crate::response::loads::{ACROSS, CURVE, FIELDS, PUSH, ROUTING, STIFF, TWIST, covered, width};
 use crate::shape::Shape;
-use crate::vector::Vec3;
 use std::sync::Arc;
 
 /// Gauss points on 0…1 and their weights.

@@ -5,8 +5,8 @@
 //! Lengths, rest bendings, base and tilt only move the arcs (`arc.rs`).
 
 use super::elastic::{ElasticRod, Equilibrium, along};
+use crate::algebra::vector::Vec3;
 use crate::shape::Shape;
-use crate::vector::Vec3;
 
 impl ElasticRod {
     /// Markers (3M,) at `u` and their slopes (3M, P) by every number, written to `out` and `slopes`.

@@ -9,10 +9,10 @@
 //! one nominal number and amounts of load are only meaningful as displacement.
 
 use super::Rod;
+use crate::algebra::vector::{add, cross, dot, norm, scaled, sub};
 use crate::error::{Result, invalid};
-use crate::loads::{FIELDS, GRAVITY, LOADS, TIP_FORCE};
+use crate::response::loads::{FIELDS, GRAVITY, LOADS, TIP_FORCE};
 use crate::shape::Shape;
-use crate::vector::{add, cross, dot, norm, scaled, sub};
 
 /// What bends the rod.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

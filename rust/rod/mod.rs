@@ -27,10 +27,10 @@ pub use field::{Load, RodField};
 pub use layout::{Layout, Tendon};
 pub use polynomial::{Monomials, Splines, Terms};
 
+use crate::algebra::vector::{add, scaled};
 use crate::error::{Result, invalid};
-use crate::room::with_few;
+use crate::memory::with_few;
 use crate::shape::{Shape, Work};
-use crate::vector::{add, scaled};
 use polynomial::Polynomial;
 
 fn finite(numbers: &[f64], what: &str) -> Result<()> {

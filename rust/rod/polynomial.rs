@@ -2,8 +2,8 @@
 
 use super::finite;
 use crate::error::{Result, invalid};
-use crate::modes::accumulate;
-use crate::room::with_few;
+use crate::memory::with_few;
+use crate::shape::modes::accumulate;
 
 /// Largest number of monomials that a rod accepts: 9 channels to the cubic are 219.
 const MOST_MONOMIALS: usize = 5000;

@@ -1,7 +1,7 @@
 //! The rod against finite differences, its limits and beam theory.
 
 use super::*;
-use crate::vector::{cross, dot, sub};
+use crate::algebra::vector::{cross, dot, sub};
 use proptest::prelude::*;
 
 const LENGTHS: [f64; 2] = [100.0, 80.0];

@@ -8,9 +8,9 @@
 //! `softmap_edge/sweep/scattered.py`. Cost: nodes × (channels + modes) a command. Pinned by the tests at the foot.
 
 use crate::error::{Result, invalid};
-use crate::modes::{Modes, accumulate};
-use crate::room::with_few;
+use crate::memory::with_few;
 use crate::shape::Shape;
+use crate::shape::modes::{Modes, accumulate};
 
 /// No scale is smaller, in command units: a division by it must stay finite.
 const SMALLEST_SCALE: f64 = 1e-9;

@@ -1,7 +1,7 @@
 //! Some of the pairs of causes of `second.rs`: which they are, and their numbers at a command.
 
-use crate::grid::Carry;
-use crate::modes::{accumulate, wide};
+use crate::shape::grid::Carry;
+use crate::shape::modes::{accumulate, wide};
 use std::ops::Range;
 
 /// Some of the pairs of causes.

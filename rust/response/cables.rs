@@ -15,12 +15,12 @@
 //! from it by the same problem, without loads. On the bank's rod tensions are so 1e-3 N off at most, 2 N otherwise.
 //! Limit: L, C and the fields are those of the unloaded equilibrium; what loads do beyond is `second.rs`.
 
-use crate::complementarity::Problem;
+use crate::algebra::complementarity::Problem;
 use crate::error::{Result, invalid};
-use crate::grid::Nodes;
-use crate::loads::FIELDS;
+use crate::response::loads::FIELDS;
 use crate::shape::Shape;
-use crate::table::Table;
+use crate::shape::grid::Nodes;
+use crate::shape::table::Table;
 use std::sync::Arc;
 
 /// The cables of a prior.

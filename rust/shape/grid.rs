@@ -2,10 +2,10 @@
 //!
 //! Nodes are counted with the last axis fastest. Outside, values go on linearly from the border in each axis.
 
-use crate::cubic::{Axis, NO_AXIS, Stencil};
 use crate::error::{Result, invalid};
-use crate::modes::accumulate;
-use crate::room::room;
+use crate::memory::room;
+use crate::shape::cubic::{Axis, NO_AXIS, Stencil};
+use crate::shape::modes::accumulate;
 use std::hash::{BuildHasher, Hash, Hasher, RandomState};
 use std::sync::{Arc, LazyLock};
 

@@ -4,7 +4,7 @@
 //! expanded to the M numbers, and the whole is seen through linear maps (vertices → features).
 
 use crate::error::{Result, invalid};
-use crate::room::with_few;
+use crate::memory::with_few;
 use std::sync::Arc;
 
 /// Modes up to this number are blended on the stack.

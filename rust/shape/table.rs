@@ -6,13 +6,13 @@
 //! cell. Pinned by the tests at the foot.
 
 use crate::error::{Result, invalid};
-use crate::grid::{Carry, Grid};
-use crate::modes::{Modes, STACK_MODES, accumulate, wide};
-use crate::room::zeros;
+use crate::memory::zeros;
 use crate::shape::Shape;
+use crate::shape::grid::{Carry, Grid};
+use crate::shape::modes::{Modes, STACK_MODES, accumulate, wide};
 use std::sync::Arc;
 
-pub use crate::grid::MAX_CHANNELS;
+pub use crate::shape::grid::MAX_CHANNELS;
 
 /// Modes on a tensor grid of commands.
 #[derive(Debug, Clone)]

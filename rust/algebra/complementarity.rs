@@ -3,7 +3,7 @@
 //! What pulls only, or pushes only: cables and contacts. Solved by the primal-dual active set method (Hintermüller, Ito &
 //! Kunisch 2002), by projected Gauss–Seidel should that cycle.
 
-use crate::dense;
+use crate::algebra::dense;
 
 /// Rounds of Gauss–Seidel, and the change (N) at which they end.
 const ROUNDS: usize = 400;

@@ -4,10 +4,10 @@
 //! modes expanded once: a sum of seven fields then costs as much as one or two. Other fields (a rod's, those of large loads) are
 //! added one by one.
 
-use crate::grid::Nodes;
-use crate::modes::{Modes, STACK_MODES, wide};
 use crate::shape::Shape;
-use crate::table::{Table, TableSum};
+use crate::shape::grid::Nodes;
+use crate::shape::modes::{Modes, STACK_MODES, wide};
+use crate::shape::table::{Table, TableSum};
 use std::sync::Arc;
 
 /// Fields in a fixed order; some may be absent.

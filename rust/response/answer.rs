@@ -6,12 +6,12 @@
 //! first (`at`): its *place*. Fields, stretches and second derivatives enter by sums, so that a body under the same loads at
 //! all commands is one with two or three loads (`under`): tens of numbers a place instead of hundreds.
 
-use crate::cables::Cables;
-use crate::complementarity::Problem;
+use crate::algebra::complementarity::Problem;
 use crate::error::Result;
-use crate::grid::Nodes;
-use crate::loads::{FIELDS, LOADS, MODULI};
-use crate::second::{MOST_TENDONS, Second};
+use crate::response::cables::Cables;
+use crate::response::loads::{FIELDS, LOADS, MODULI};
+use crate::response::second_order::{MOST_TENDONS, Second};
+use crate::shape::grid::Nodes;
 
 /// What a body has beside its fields.
 #[derive(Clone)]

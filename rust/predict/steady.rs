@@ -8,7 +8,7 @@ use super::Predictor;
 use super::job::Body;
 use crate::effects::{Chain, Context};
 use crate::error::{Result, invalid};
-use crate::modes::accumulate;
+use crate::shape::modes::accumulate;
 use crate::shape::{Shape, Work};
 use std::sync::Arc;
 

@@ -9,13 +9,13 @@
 //! Normals are those of the body that is not stopped. Limits: fields of the unloaded equilibrium, so a push of many mm is
 //! answered too far; nothing between stations touches.
 
-use crate::cables::Cables;
-use crate::complementarity::Problem;
+use crate::algebra::complementarity::Problem;
+use crate::algebra::vector::{Vec3, add, dot, norm, scaled, sub};
 use crate::error::{Result, invalid};
-use crate::loads::{CONTACT, Coefficients, FIELDS, PUSH, STATIONS, TENDON, TIP_FORCE};
-use crate::second::Second;
+use crate::response::cables::Cables;
+use crate::response::loads::{CONTACT, Coefficients, FIELDS, PUSH, STATIONS, TENDON, TIP_FORCE};
+use crate::response::second_order::Second;
 use crate::shape::Shape;
-use crate::vector::{Vec3, add, dot, norm, scaled, sub};
 use std::sync::Arc;
 
 /// The stations of a body.

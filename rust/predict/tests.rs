@@ -1,7 +1,7 @@
 //! The predictor: frames between samples, sets that share shapes, and what it says of absent fields.
 
 use super::*;
-use crate::table::Table;
+use crate::shape::table::Table;
 
 fn plane(slope: [f64; 3]) -> Arc<dyn Shape> {
     let ends = slope.iter().map(|s| -s).chain(slope).collect();

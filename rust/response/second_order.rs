@@ -16,14 +16,14 @@
 //! Limits: curvature at rest, twist and routing, and pushes, stay linear beside it.
 
 use crate::error::{Result, invalid};
-use crate::grid::{Grid, Nodes};
-use crate::loads::{LOADS, MODULI};
-use crate::modes::{Modes, accumulate};
+use crate::response::loads::{LOADS, MODULI};
 use crate::shape::Shape;
-use crate::table::Table;
+use crate::shape::grid::{Grid, Nodes};
+use crate::shape::modes::{Modes, accumulate};
+use crate::shape::table::Table;
 use std::sync::Arc;
 
-#[path = "second_part.rs"]
+#[path = "second_order_part.rs"]
 mod part;
 use part::Part;
 

@@ -2,7 +2,7 @@
 
 use crate::effects::{Camera, Chain, Conditions, Context, bracket};
 use crate::error::{Result, invalid};
-use crate::fields::Fields;
+use crate::response::fields::Fields;
 use crate::shape::Shape;
 use std::collections::HashMap;
 use std::sync::Arc;

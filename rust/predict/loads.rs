@@ -7,11 +7,11 @@
 
 use super::job::Job;
 use super::{NEGLIGIBLE, Predictor, Scratch};
-use crate::answer::Answer;
 use crate::effects::{Chain, Context};
 use crate::error::Result;
-use crate::fields::Fields;
-use crate::loads::{CONTACT, Coefficients, FIELDS, GRAVITY, TENDON, TIP_FORCE, weight};
+use crate::response::answer::Answer;
+use crate::response::fields::Fields;
+use crate::response::loads::{CONTACT, Coefficients, FIELDS, GRAVITY, TENDON, TIP_FORCE, weight};
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex};
 

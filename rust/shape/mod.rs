@@ -4,9 +4,16 @@
 //! rod and whatever comes later implement this trait; what consumes a shape need not know which one it is (`fields.rs`
 //! asks for tables, to sum them faster).
 
+pub(crate) mod cubic;
+pub(crate) mod grid;
+pub mod modes;
+pub mod projected;
+pub mod scattered;
+pub mod table;
+
 use crate::error::{Result, invalid};
-use crate::modes::accumulate;
-use crate::table::Table;
+use crate::shape::modes::accumulate;
+use crate::shape::table::Table;
 use std::sync::Arc;
 
 /// Room that a shape works in and keeps for the next time: what asks at every tick of a loop allocates at the first alone.
@@ -153,7 +160,7 @@ impl Shape for Sum {
 #[cfg(test)]
 mod tests {
     use super::{Shape, Sum};
-    use crate::table::Table;
+    use crate::shape::table::Table;
     use std::sync::Arc;
 
     struct Parabola;

@@ -9,17 +9,17 @@
 //! cost next to nothing. What loads and changes of the modulus do beyond their fields comes from `second.rs`, where the
 //! prior has it. Limits: other changes of design are answered linearly.
 
-use crate::answer::{self, Answer};
-use crate::cables::Cables;
-use crate::contact::Contact;
 use crate::effects::{Chain, Conditions};
 use crate::error::{Result, invalid};
-use crate::fields::Fields;
-use crate::grid::Nodes;
-use crate::loads::{CONTACT, CURVE, Coefficients, FIELDS, TENDON, name};
-use crate::room::zeros;
-use crate::second::Second;
+use crate::memory::zeros;
+use crate::response::answer::{self, Answer};
+use crate::response::cables::Cables;
+use crate::response::contact::Contact;
+use crate::response::fields::Fields;
+use crate::response::loads::{CONTACT, CURVE, Coefficients, FIELDS, TENDON, name};
+use crate::response::second_order::Second;
 use crate::shape::Shape;
+use crate::shape::grid::Nodes;
 use job::{Body, Job};
 use loads::{Acting, Kept, Load};
 use rayon::prelude::*;
@@ -380,19 +380,13 @@ struct Scratch {
     field: Vec<f64>,
 }
 
-#[path = "predict_job.rs"]
 mod job;
-#[path = "predict_loads.rs"]
 mod loads;
-#[path = "predict_shared.rs"]
 mod shared;
-#[path = "predict_slopes.rs"]
 mod slopes;
-#[path = "predict_still.rs"]
-mod still;
+mod steady;
 
-pub use still::still;
+pub use steady::still;
 
 #[cfg(test)]
-#[path = "predict_tests.rs"]
 mod tests;

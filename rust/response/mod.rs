@@ -1,0 +1,8 @@
+//! How a body answers loads: fields of its prior, cables that fall slack, contact, and second-order terms.
+
+pub mod answer;
+pub(crate) mod cables;
+pub mod contact;
+pub mod fields;
+pub mod loads;
+pub mod second_order;
