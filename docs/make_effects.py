@@ -51,9 +51,10 @@ beyond the search range where the data require it. *At most 2 half ranges* is tw
 length* is the weight at the tip that would move it sideways by the length of the body if the answer were linear.
 
 Loads move a finger by its fields, which are taken at constant tension of its tendons; the tendons then answer by
-falling slack or taut, a complementarity problem solved at every frame (`rust/response/cables.rs`). What large loads, and changes
-of the modulus, do beyond that comes from second derivatives (`rust/response/second_order.rs`). On the built-in finger, with them and
-without, this misses the simulator by (RMS over vertices and eleven commands, of what the load moves them by):
+falling slack or taut, a complementarity problem solved at every frame (`rust/response/cables.rs`). What large loads,
+and changes of the modulus, do beyond that comes from second derivatives (`rust/response/second_order.rs`). On the
+built-in finger, with them and without, this misses the simulator by (RMS over vertices and eleven commands, of what
+the load moves them by):
 
 @LOADS@
 

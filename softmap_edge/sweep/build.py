@@ -5,8 +5,8 @@ centreline (`bending.py`). The model's own error is measured by leaving out: of 
 sweep neighbourhoods of rows. It says how well the sweep is interpolated, not how well its simulator knows the robot.
 
 A table with half the nodes is `e` off at those left out; the full one is taken to be e/2^p off, p the order that the
-errors of half and quarter grid show, between 1 (kinks) and 3 (smooth, rust/shape/cubic.rs), or 1.5 where a quarter is too
-coarse.
+errors of half and quarter grid show, between 1 (kinks) and 3 (smooth, rust/shape/cubic.rs), or 1.5 where a quarter is
+too coarse.
 """
 
 from __future__ import annotations
