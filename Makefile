@@ -76,7 +76,7 @@ wheel: $(VENV)/.test
 	rm -f dist/*.whl
 	PATH="$(abspath $(BIN)):$$PATH" VIRTUAL_ENV="$(abspath $(VENV))" \
 	  $(BIN)/maturin build --release --locked --zig --compatibility manylinux2014 --target $(TARGET) --out dist
-	$(BIN)/python -m pytest -q tests/test_wheel.py
+	$(BIN)/python -m pytest -q tests/project/test_wheel.py
 
 data: $(VENV)/.core
 	$(BIN)/python examples/fetch_data.py data

@@ -3,7 +3,7 @@
 They are the processor time of a process of its own with one thread, since libraries choose their threads as they are
 loaded. pykdtree (LGPL) and libigl (MPL 2.0, its copyleft parts left out) are installed for
 benchmarks alone, by the Makefile; a row whose peer is absent says so. Both sides are compared before they are timed.
-Pinned by tests/test_benches.py.
+Pinned by tests/benches/test_benches.py.
 """
 
 from __future__ import annotations

@@ -6,7 +6,7 @@ the network and not the core would write. SciPy on the core's own passes and exa
 ours; that row tells the search from the passes. There the ratio has an end: a waypoint costs nothing but passes, three
 or four with slopes (a Newton step of the 0.1 mm that one waypoint of this network is off leaves 0.006 mm, the next
 2e-5), and SciPy's own are passes of the same core. SciPy stays mm away at a few waypoints in a hundred, in folds that
-ours leaves by other starts. Pinned by tests/test_benches.py.
+ours leaves by other starts. Pinned by tests/benches/test_benches.py.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Benchmark of level 1: normal equations of all families on eight folds, next to NumPy on explicit columns.
 
 The peer uses the fewest NumPy calls: explicit columns (n, K, M), whitened by `Whitener.shrink`, one matrix product per
-set of frames. The core never forms the columns (rust/families/gram.rs). tests/test_benches.py checks that both give the
-same losses.
+set of frames. The core never forms the columns (rust/families/gram.rs). tests/benches/test_benches.py checks that both
+give the same losses.
 """
 
 from __future__ import annotations

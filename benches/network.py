@@ -5,7 +5,7 @@
 Its hidden layers are drawn, its last one is fitted to the built-in finger by least squares: a network of that size that
 bends as the finger does, without minutes of training. All sides run on one thread, one command at a time, alternating.
 Reading is a streaming reduction over as many bytes as the pass reads (NumPy's or BLAS's, whichever is quicker).
-Pinned by tests/test_benches.py.
+Pinned by tests/benches/test_benches.py.
 """
 
 from __future__ import annotations

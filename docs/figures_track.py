@@ -1,7 +1,7 @@
 """Make the picture of docs/track.md: an S on an emulated finger that hides backlash and creep, and through them.
 
 `python docs/figures_track.py` writes track_s.svg beside this file; `--out` names another folder. It runs in real time,
-a minute, on emulated servos: a busy computer may end it. The numbers are those of tests/test_track.py's promise.
+a minute, on emulated servos: a busy computer may end it. The numbers are those of tests/robot/test_track.py's promise.
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
 Every frame of every case is solved to an equilibrium, so that nothing is interpolated in what is seen; a table of
 strains over commands only says where Newton starts, and how strong a law of the command has to be. The rod has 16 + 3
 elements, with which its tip is 0.06 mm from where it would be with four times as many: truth and model share that body.
-Units: mm, g, N. Pinned by tests/test_bank.py.
+Units: mm, g, N. Pinned by tests/benches/test_bank.py.
 """
 
 from __future__ import annotations

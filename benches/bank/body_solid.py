@@ -4,7 +4,7 @@ Shapes come from dense sweeps of that other finger, one for each orientation of 
 in their leading modes; `interpolation_mm` measures by how much that misses an equilibrium. Where a law changes weights,
 modulus, cables or their routes, every frame is solved. A pair of cables is one command here: what a law does to single
 cables counts where they pull. Curvature and twist at rest, a plane and torn fibres are for slice A alone.
-Units: mm, g, N. Pinned by tests/test_bank.py.
+Units: mm, g, N. Pinned by tests/benches/test_bank.py.
 """
 
 from __future__ import annotations

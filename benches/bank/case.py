@@ -7,7 +7,7 @@
 
 Development seeds are for setting thresholds, reporting seeds for figures; no threshold may be set on the latter.
 The strength of each law is scaled until the section centroids move by what the level says on the standard protocol.
-Units: s, mm, g, °C. Pinned by tests/test_bank.py.
+Units: s, mm, g, °C. Pinned by tests/benches/test_bank.py.
 """
 
 from __future__ import annotations

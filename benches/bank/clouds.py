@@ -2,7 +2,7 @@
 
 Two cameras 90° apart stand somewhere around the finger for the whole case. Every second frame of a long protocol is
 seen: laying a template onto a cloud takes 60 ms. Units: mm, degrees. Randomness only from the seed that is given.
-Pinned by tests/test_bank.py.
+Pinned by tests/benches/test_bank.py.
 """
 
 from __future__ import annotations

@@ -12,7 +12,7 @@ T_j/T₀ / Σ ℓ, and the nodes are in balance with T_j. There is no energy to 
 the frictionless rod.
 Limit: the slides are those of the finger without friction. With those of the finger with friction (`passes`) the guides
 let go in a slightly different order after a reversal: a quarter of the displacement by friction at μ = 0.1.
-Units: mm, N, rad. Pinned by tests/test_bank_shop.py.
+Units: mm, N, rad. Pinned by tests/benches/test_bank_shop.py.
 """
 
 from __future__ import annotations

@@ -7,7 +7,7 @@
 
 A trace of memory, as in every drive, is added (play of 0.02 mm, half a percent of creep). The static errors are drawn
 at sizes of equal displacement, and scaled together.
-Units: mm, degrees. Randomness only from the given generator. Pinned by tests/test_bank_shop.py.
+Units: mm, degrees. Randomness only from the given generator. Pinned by tests/benches/test_bank_shop.py.
 """
 
 from __future__ import annotations

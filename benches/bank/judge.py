@@ -9,7 +9,7 @@ said to be left, or if the measurement is said to be at fault in a way that no e
     (p + z²/2n ± z √(p(1−p)/n + z²/4n²)) / (1 + z²/n),   z = 1.96
 
 Fall = (before − after)/(before − floor) of the RMS error (mm) over all seen points of a run of another kind; the floor
-is the same finger with nothing hidden. Pinned by tests/test_bank.py.
+is the same finger with nothing hidden. Pinned by tests/benches/test_bank.py.
 """
 
 from __future__ import annotations

@@ -3,7 +3,8 @@
 The document's `families` are a list of {name, …}, strongest first; a document without them names none. *Claimed* is a
 name that is more likely than not, or a static map above the finger's own background whose law is open. A verdict is
 *falsely identified* if it is `identified` and names something that is not right for the hidden law. The right answers
-stand in the truth of a case: `answers`, one for each hidden law (`answers.py`). Pinned by tests/test_bank_judge.py.
+stand in the truth of a case: `answers`, one for each hidden law (`answers.py`). Pinned by
+tests/benches/test_bank_judge.py.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Score an answer about a robot whose law was always present, with a model learned from its recordings.
 
 The named effects are those that `learn` added to the chain of the model, then those that the diagnosis of another run
-adds. For a memory that was always present both are right. Units: mm, s. Pinned by tests/test_bank_learned.py.
+adds. For a memory that was always present both are right. Units: mm, s. Pinned by tests/benches/test_bank_learned.py.
 """
 
 from __future__ import annotations

@@ -11,7 +11,7 @@
     rate_square      u − c v|v|
     rate_bend        u − c v |u|
 
-Units: s, mm. Randomness only from the given generator. Pinned by tests/test_bank_odd.py.
+Units: s, mm. Randomness only from the given generator. Pinned by tests/benches/test_bank_odd.py.
 """
 
 from __future__ import annotations

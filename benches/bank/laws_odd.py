@@ -6,7 +6,7 @@
     other_modulus, longer_body, mixed_channels   another robot than the model's
     still, stuck     the drive is off, or off for a part of the run
 
-Units: s, mm. Randomness only from the given generator, or from a stored seed. Pinned by tests/test_bank_odd.py.
+Units: s, mm. Randomness only from the given generator, or from a stored seed. Pinned by tests/benches/test_bank_odd.py.
 """
 
 from __future__ import annotations

@@ -15,7 +15,8 @@ tendon_creep      each cable another loss
 saturation        one servo meets its stop early, or both at other places
 coupling          one guide drags its neighbour, hardly the other way round
 
-The names of the library that are right for each are in `answers.py`. Units: s, mm. Pinned by tests/test_bank_shop.py.
+The names of the library that are right for each are in `answers.py`. Units: s, mm. Pinned by
+tests/benches/test_bank_shop.py.
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
 u + a h f(u/h; b, φ), h = 12 mm: a is the amount, b > 0 the sharpness, φ a phase. Each is zero at home. `bent` is the
 part that offsets and gains cannot represent. It makes a map non-linear, and it is what is scaled.
 
-Units: mm. Randomness only from the given generator. Pinned by tests/test_bank_odd.py.
+Units: mm. Randomness only from the given generator. Pinned by tests/benches/test_bank_odd.py.
 """
 
 from __future__ import annotations

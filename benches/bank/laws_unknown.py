@@ -7,7 +7,7 @@
     crack          one element torn on one side: its fibres carry nothing when drawn, all when pressed
     gate           a cam that shifts the spool only while both channels are pulled and the last move was outwards
 
-Units: s, mm, N. Pinned by tests/test_bank.py.
+Units: s, mm, N. Pinned by tests/benches/test_bank.py.
 """
 
 from __future__ import annotations

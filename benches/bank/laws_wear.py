@@ -11,7 +11,7 @@
     held             the servo takes a new command only twice a second
     steps            commands rounded to a grid
 
-Units: s, mm, °C. Randomness only from the given generator. Pinned by tests/test_bank_odd.py.
+Units: s, mm, °C. Randomness only from the given generator. Pinned by tests/benches/test_bank_odd.py.
 """
 
 from __future__ import annotations

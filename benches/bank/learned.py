@@ -6,7 +6,8 @@ that is some millimetres off. A model is learned from a reference run (level *on
 half the size and twice the speed (level *two*). Then a run of another kind is diagnosed. One orientation, 22 °C. A law
 without memory (slack) is part of a learned static map, so nothing remains to be named. The background of a finger is
 the error of a cubic map of the commands, fitted to it without its law.
-Units: mm, s, degrees. A case is a pure function of (seeds, level, kind, number). Pinned by tests/test_bank_learned.py.
+Units: mm, s, degrees. A case is a pure function of (seeds, level, kind, number). Pinned by
+tests/benches/test_bank_learned.py.
 """
 
 from __future__ import annotations

@@ -4,7 +4,7 @@ Rows of several folders, each scored with one set of constants (`--set`), are co
 the constants are taken under which most answers of the other slices are right; every slice has the same weight. The
 table gives the share of right answers with these and with the shipped constants. The odds are fitted in the same way,
 to the claims of the other slices; *exactly right* is the error that as many claims show by chance. The constants that
-ship are those of decision.py. Pinned by tests/test_bank_judge.py.
+ship are those of decision.py. Pinned by tests/benches/test_bank_judge.py.
 """
 
 from __future__ import annotations

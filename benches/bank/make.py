@@ -1,6 +1,7 @@
 """Make a case once: its runs and the truth about it (`store.py` keeps them).
 
-Units: mm, s. A case that cannot be made reports the reason when it is requested. Pinned by tests/test_bank_store.py.
+Units: mm, s. A case that cannot be made reports the reason when it is requested. Pinned by
+tests/benches/test_bank_store.py.
 """
 
 from __future__ import annotations

@@ -9,7 +9,7 @@ left out), force f and lengths L of the cables:
     stretch of a cable                              ∂L/∂x · displacement + ∂L/∂p
     and what large loads do beyond                  `second_rod.py`
 
-p are the fields that the library knows of those in `changes`. Units: mm, N, g. Pinned by tests/test_bank.py.
+p are the fields that the library knows of those in `changes`. Units: mm, N, g. Pinned by tests/benches/test_bank.py.
 """
 
 from __future__ import annotations

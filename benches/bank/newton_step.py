@@ -1,6 +1,6 @@
 """One Newton step of many rods at once: a block-tridiagonal solve, the stiff cables joined by Woodbury's formula.
 
-Units: mm, N, rad. Pinned by tests/test_bank_rod.py.
+Units: mm, N, rad. Pinned by tests/benches/test_bank_rod.py.
 """
 
 from __future__ import annotations

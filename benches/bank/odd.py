@@ -7,7 +7,7 @@
     unknown    level *maps*: a smooth static map or a cross term; level *real*: a law that is in no library
     trap       a drift, a temperature that follows time by chance, another robot than the model's, a drive that is off
 
-Units: mm, s, °C. A case is a pure function of (seeds, level, kind, number). Pinned by tests/test_bank_odd.py.
+Units: mm, s, °C. A case is a pure function of (seeds, level, kind, number). Pinned by tests/benches/test_bank_odd.py.
 """
 
 from __future__ import annotations

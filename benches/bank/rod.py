@@ -12,7 +12,7 @@ What is found is the minimum of
 
 by Newton's method with a block-tridiagonal solve, the stiff cables joined by Woodbury's formula, and steps shortened
 until the energy falls; a row that does not settle takes its load in smaller parts. mm, N, MPa, rad, g.
-Limits: sections stay plane and rigid in their plane. Pinned by tests/test_bank_rod.py: the elastica, order of
+Limits: sections stay plane and rigid in their plane. Pinned by tests/benches/test_bank_rod.py: the elastica, order of
 convergence, work of the cables, symmetry, gradient by differences, the project's own finite elements.
 """
 

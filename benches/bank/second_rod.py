@@ -5,7 +5,7 @@ settled with a little more and a little less of each cause l (a g of gravity, a 
 modulus, a N in a cable), and the difference of its answers to every cause k is their derivative: places x_kl, lengths
 of cables L_kl. A cable that hangs is looked at with the tension of one step. g_k is the share by which the answers grow
 for a unit of k: the mean over gravity, tip and cables of Σ⟨x_l, x_kl⟩/Σ⟨x_l, x_l⟩. Units: mm, N, g. Pinned by
-tests/test_bank.py.
+tests/benches/test_bank.py.
 """
 
 from __future__ import annotations

@@ -6,7 +6,8 @@ A cross-section is an area of fibres along the rod, each of neo-Hookean rubber t
 
 integrated with 3 Gauss points in the squared radius and 12 in angle. Shear and torsion are linear with G = E/3 and a
 shear factor of 0.9. Below λ = 0.35 the stress goes on in a straight line. Lengths mm, E and stress MPa, forces N,
-angles rad. The numbers are those of `softmap_edge/data/finger.toml`, read from it. Pinned by tests/test_bank_rod.py.
+angles rad. The numbers are those of `softmap_edge/data/finger.toml`, read from it. Pinned by
+tests/benches/test_bank_rod.py.
 """
 
 from __future__ import annotations

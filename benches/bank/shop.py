@@ -4,7 +4,7 @@ Every finger has static imperfections of 0.2 to 0.4 mm RMS of its section centro
 with a memory of 3 to 10 s. A hidden law moves the finger 2.2 to 6 times as far as the imperfections do. A law that
 cannot reach that size at a plausible strength gets its largest plausible strength, and is not scored below twice the
 background.
-Units: mm, s. A case is a pure function of (seeds, level, kind, number). Pinned by tests/test_bank_shop.py.
+Units: mm, s. A case is a pure function of (seeds, level, kind, number). Pinned by tests/benches/test_bank_shop.py.
 """
 
 from __future__ import annotations

@@ -6,7 +6,7 @@
     ROOT/<case>/taught.npz    runs from which a model is learned (`taught_2.npz` of other size and speed)
 
 `made_by` is a digest of the bank's own code and of its inputs (protocols, the bundle), not of the diagnosis. A case
-with the same digest is not made again. Pinned by tests/test_bank_store.py.
+with the same digest is not made again. Pinned by tests/benches/test_bank_store.py.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 Every point has an error of its own; the whole frame shivers (memory of a second) and creeps (half a minute); patches
 are hidden. And no finger is as its model says even when nothing is hidden: a little play, creep, lag, an imperfect
-mounting. Units: mm, degrees, s. Randomness only from the generator that is given. Pinned by tests/test_bank.py.
+mounting. Units: mm, degrees, s. Randomness only from the generator that is given. Pinned by tests/benches/test_bank.py.
 """
 
 from __future__ import annotations

@@ -5,7 +5,7 @@
 //! another one it is offered (mark `SMC1`, session, HMAC) while no heart beats, and sequence numbers must rise within it. A
 //! heart that stopped gets a new session, so that nothing recorded or kept in a queue counts again. A beat is as old as it has
 //! been here, plus by how much later it came than the quickest did; clocks need not agree. Whatever else arrives is dropped.
-//! Its other end is `softmap_edge/robot/control/heartbeat.py`; both are pinned by tests/test_emergency.py.
+//! Its other end is `softmap_edge/robot/control/heartbeat.py`; both are pinned by tests/robot/test_emergency.py.
 
 use std::io::ErrorKind;
 use std::net::{SocketAddr, UdpSocket};

@@ -3,7 +3,7 @@
 //! The loop itself is `softmap_servo::control`; here it gets real time, signals, and a thread that does what may take long:
 //! it writes reports (and the recording) from a ring that the loop never waits for. When the orders' pipe closes, whoever
 //! sent them is gone: hold, slacken, torque off. SIGINT and SIGTERM slacken at once. Whatever ends the loop, a panic too,
-//! torque off is sent last. Pinned by tests/test_controller.py, tests/test_faults.py and tests/test_nobody_watches.py.
+//! torque off is sent last. Pinned by tests/robot/test_controller.py, tests/robot/test_faults.py and tests/robot/test_nobody_watches.py.
 
 pub mod emergency;
 pub mod gpio;

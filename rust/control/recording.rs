@@ -3,7 +3,7 @@
 //! Topic `/setup`, once: what the loop was made of. Topic `/loop`, a period: all that the guard was told and what it said,
 //! so that a recording replays bit for bit (numbers are written in full; what is not finite is null, which the guard
 //! refuses alike). No chunks and no compression: a file cut anywhere gives every message before the cut.
-//! Source of the format: MCAP, Foxglove, https://mcap.dev/spec. Pinned by tests/test_recording.py and tests/test_live.py.
+//! Source of the format: MCAP, Foxglove, https://mcap.dev/spec. Pinned by tests/robot/test_recording.py and tests/robot/test_live.py.
 
 use std::collections::HashMap;
 use std::fs::File;

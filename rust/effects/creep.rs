@@ -5,7 +5,7 @@
 //! Advanced exactly for commands linear between samples, as in `lag.rs`. Memory starts in equilibrium, `z = x`. Units 1 and s.
 //! Limit: two equal terms. They stand for three as well: fitted to five bodies of up to three terms over two decades, lopsided
 //! ones among them, they leave 3 to 9 % of the slow part, where one term leaves 14 to 32 %, so there is no third. Pinned by
-//! tests/test_effects.py.
+//! tests/model/test_effects.py.
 
 use super::conditions::{Conditions, Context};
 use super::declaration::*;

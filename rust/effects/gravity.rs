@@ -5,7 +5,7 @@
 //! difference to `g`; what the run declares is applied as known physics elsewhere (`predict.rs`).
 //! The body answers linearly at constant tension, the tendons by falling slack or taut (`cables.rs`).
 //! Limit: all of that is taken at the unloaded equilibrium. On the built-in finger, horizontal instead of hanging, vertices
-//! are 0.14 mm off where gravity moves them by 2.6 mm (RMS, eleven commands); pinned by tests/test_bundle.py.
+//! are 0.14 mm off where gravity moves them by 2.6 mm (RMS, eleven commands); pinned by tests/model/test_bundle.py.
 
 use super::conditions::Context;
 use super::declaration::*;

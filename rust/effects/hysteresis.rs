@@ -6,7 +6,7 @@
 //! open at once and close late. Memory starts relaxed (`s_i = 0`). Exact for commands monotonic between samples.
 //! Source: P. Krejčí, K. Kuhnen, doi:10.1049/ip-cta:20010375. Limit: rate-independent, four thresholds. Fitted to loops of
 //! other laws it leaves, of what they move: Bouc–Wen 4 to 15 % (shape held at 1: 5 to 17 %), Dahl 6 % (7 %), thresholds of
-//! exponential density 7 % (11 %), of density 1/r 7 % (12 %); eight thresholds are no better. Pinned by tests/test_effects.py.
+//! exponential density 7 % (11 %), of density 1/r 7 % (12 %); eight thresholds are no better. Pinned by tests/model/test_effects.py.
 
 use super::conditions::{Conditions, Context};
 use super::declaration::*;

@@ -5,7 +5,7 @@
 //! falling slack or taut (`cables.rs`).
 //! Limit: all of that is taken at the unloaded equilibrium. Vertices of the built-in finger, RMS over eleven commands: 25 g
 //! hanging 0.10 mm off of 0.9 mm moved, 25 g leaning by 35° 0.28 of 3.3, 60 g leaning 1.11 of 5.6; pinned by
-//! docs/make_effects.py and tests/test_bundle.py.
+//! docs/make_effects.py and tests/model/test_bundle.py.
 
 use super::conditions::Context;
 use super::declaration::*;

@@ -9,7 +9,7 @@
 //!
 //! Many columns share few bases, so the first term costs a few products of weights. Pairs (r, m) with D < 1e-4 are skipped,
 //! which overstates the energy along them by at most 1e-4. Columns come in blocks; a Gram matrix is that of two blocks.
-//! Checked by tests/test_level.py.
+//! Checked by tests/noise/test_level.py.
 
 use crate::error::{Result, invalid};
 use crate::shape::modes::wide;

@@ -5,7 +5,7 @@
 //! plus 1e-9 of the mean diagonal, which makes collinear columns solvable. A Gram matrix is made of blocks, one for two names
 //! (`gram.rs`). A block is made when a fit first needs it and kept, so families that are never fitted together, or never in
 //! folds, cost nothing. Without whitening, the Gram of training frames is that of all frames less that of the few others.
-//! Checked by tests/test_level.py.
+//! Checked by tests/noise/test_level.py.
 
 use super::gram::{Columns, Frames, whitened};
 use crate::error::{Result, invalid};

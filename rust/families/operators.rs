@@ -1,7 +1,7 @@
 //! Operators on one record: play, low pass, time shift, mean velocity, running maximum, cubic B-splines.
 //!
 //! All are O(T) and start in equilibrium with the first sample. They are exact for commands that are linear between samples,
-//! at any sample spacing. tests/test_families.py checks each against an independent NumPy version.
+//! at any sample spacing. tests/model/test_families.py checks each against an independent NumPy version.
 
 use crate::effects::low_pass;
 

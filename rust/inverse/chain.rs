@@ -6,7 +6,7 @@
 //! act on each other are taken in turns until they agree. A delay and a lag cannot be inverted, what they ask for lies in the
 //! past: they are left out here and previewed along a known path. After `new` nothing is allocated.
 //! Limits: what acts must not fall while its command rises (or the other way round); a user's own effect is refused.
-//! Pinned by chain_tests.rs and tests/test_kinematics.py.
+//! Pinned by chain_tests.rs and tests/model/test_kinematics.py.
 
 use crate::effects::{Chain, Context};
 use crate::error::{Result, invalid};

@@ -6,7 +6,7 @@
 //! beforehand, several far apart ones, so that a fold of the workspace is no trap. What cannot be reached ends at the nearest
 //! point found, with its distance. A finger bent far by one pair of tendons has slack in the others, where slopes are zero: hence the
 //! many starts. Limit: where tendons fall slack the tip of an interpolated sweep folds back by micrometres within
-//! some tenths of a mm of command; a target in such a fold is missed by those. Pinned by solve_tests.rs and tests/test_kinematics.py.
+//! some tenths of a mm of command; a target in such a fold is missed by those. Pinned by solve_tests.rs and tests/model/test_kinematics.py.
 
 use super::{Distance, PLACE};
 use crate::algebra::dense::eliminate;

@@ -12,7 +12,7 @@
 //! Pairs among loads and tensions stand by themselves, those with a modulus in a table of their own, which costs nothing
 //! where the modulus is as it was; a body may lack it, and then answers changes of its modulus linearly.
 //! On the built-in finger 60 g are right to 8 % of what they move, 10 to 20 % and more are missed without; a section half
-//! as stiff to 9 to 18 %, 25 to 60 % and more without (tests/test_second_level.py).
+//! as stiff to 9 to 18 %, 25 to 60 % and more without (tests/model/test_second_level.py).
 //! Limits: curvature at rest, twist and routing, and pushes, stay linear beside it.
 
 use crate::error::{Result, invalid};

@@ -4,7 +4,7 @@
 //!
 //! Wherever instruction and parameters hold FF FF FD, another FD is put behind it (byte stuffing), so that no packet
 //! holds a header; length and CRC count what is sent. Source: ROBOTIS, "DYNAMIXEL Protocol 2.0".
-//! Pinned by the manual's packets below and by the official SDK (tests/test_sdk_packets.py).
+//! Pinned by the manual's packets below and by the official SDK (tests/robot/test_sdk_packets.py).
 
 use crate::crc::crc;
 

@@ -7,7 +7,7 @@ A residual is a function of the command alone. What depends on how a command was
 can stands in for physics only under the conditions of its runs; so it comes last, and stays only where it surely lowers
 the error on blocks that were left out. Rivals of what is added are told: on these runs they would do as well.
 Calibration is fitted without the effects, so that gain, offset or coupling found after it may be a correction of it.
-Units: mm. Pinned by tests/test_adaptation.py.
+Units: mm. Pinned by tests/adaptation/test_adaptation.py.
 """
 
 from __future__ import annotations

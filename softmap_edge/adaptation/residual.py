@@ -11,7 +11,7 @@ out (`diagnosis/behind_residual.py`).
 Vertices laid onto clouds are whole: what was not seen stands where registration wants it (0.17 mm on two views of the
 virtual finger), and judges nothing.
 Units: mm. Limits: frames in which a tracked point is hidden teach nothing; beyond the run's commands it extrapolates.
-Pinned by tests/test_residual.py.
+Pinned by tests/adaptation/test_residual.py.
 """
 
 from __future__ import annotations

@@ -6,7 +6,7 @@ there. From **base points**: markers fixed to the base at known places, or the c
     groups of frames (visits of home; stretches of time) → a robust pose each → one pose of all (`solve.py`)
 
 Units: mm; degrees in what is told. Limits: what is rigid in the robot's own rest shape (a twist, half of a pre-curve)
-is taken for the frame where only home frames are given. Pinned by tests/test_align.py over many seeds.
+is taken for the frame where only home frames are given. Pinned by tests/alignment/test_align.py over many seeds.
 """
 
 from __future__ import annotations

@@ -6,7 +6,7 @@ Near the clamp a finger hardly bends, whatever the model lacks; a base that stan
 A command that is off by a constant bends it there too, and is fitted beside the pose. Roll and height stay as they
 are: a round body shows neither. Groups of frames say how well the others are known.
 Units: mm, rad; degrees in what is told.
-Limit: what the model lacks within ZONE of the clamp is taken for the frame. Pinned by tests/test_align.py.
+Limit: what the model lacks within ZONE of the clamp is taken for the frame. Pinned by tests/alignment/test_align.py.
 """
 
 from __future__ import annotations

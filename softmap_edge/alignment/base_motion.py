@@ -7,7 +7,7 @@ If the run was aligned by these markers (`softmap align`), `placed` is the remai
 diagnosis the reference is the run of before (`--reference`), or the place that `softmap learn` kept in `made_from`.
 There the parameters of `mount` are fitted within SIGMAS of what the markers show. `mount` and `camera_drift` are no
 candidates where a base that the markers show at rest could not move the body visibly.
-Units: mm, deg. Limit: a turn needs three markers that are not on a line. Pinned by tests/test_base_motion.py.
+Units: mm, deg. Limit: a turn needs three markers that are not on a line. Pinned by tests/alignment/test_base_motion.py.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """What an alignment refuses: other units, mirrors, lines, other robots. Every refusal has its number and its remedy.
 
-Units: mm, rad. Pinned by tests/test_align_refuses.py.
+Units: mm, rad. Pinned by tests/alignment/test_align_refuses.py.
 """
 
 from __future__ import annotations

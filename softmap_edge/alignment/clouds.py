@@ -3,8 +3,8 @@
 PLY, PCD, text (CSV, XYZ, PTS, COLMAP, OBJ vertices), NPY and NPZ are recognised by their content, not by their name.
 No code in a file is ever run, and sizes in a file are checked before memory is allocated. A file without times is one
 frame; frames are then one second apart. Pixels without depth are left out and counted (unseen.py), columns
-are found by their names, else by their values (columns.py). Pinned by tests/test_clouds.py and
-tests/test_clouds_of_others.py.
+are found by their names, else by their values (columns.py). Pinned by tests/alignment/test_clouds.py and
+tests/alignment/test_clouds_of_others.py.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 Motion: the two groups between which the farthest point of the robot is displaced most; it counts where it is far above
 the noise of the groups (sensor noise, and what neighbouring groups differ by) and large enough to matter.
-Units: mm, rad, s. Pinned by tests/test_align.py.
+Units: mm, rad, s. Pinned by tests/alignment/test_align.py.
 """
 
 from __future__ import annotations

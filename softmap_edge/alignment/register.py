@@ -4,7 +4,7 @@
 data from the cloud to the surface with weights that let outliers go (`rust/geometry/register.rs`). `paper`: the
 published objective, each vertex (of a model with handles, each of these) to its nearest point, from the shape at rest
 (`rust/geometry/paper.rs`). Base frame, mm. What a round finger does about its own axis no cloud tells: the roll of the
-vertices is that of the start. Pinned by tests/test_registration.py, tests/test_handles.py.
+vertices is that of the start. Pinned by tests/alignment/test_registration.py, tests/geometry/test_handles.py.
 """
 
 from __future__ import annotations

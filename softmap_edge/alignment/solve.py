@@ -5,7 +5,7 @@
     shape: model and robot differ at home; the model's own error, as large as what is left there, correlated along it;
            of base points, what is left over the coordinates that the pose did not take (3 N − 6), each point for itself
 
-Units: mm and rad inside, degrees in what is told. Pinned by tests/test_align.py over many seeds.
+Units: mm and rad inside, degrees in what is told. Pinned by tests/alignment/test_align.py over many seeds.
 """
 
 from __future__ import annotations

@@ -5,7 +5,7 @@
     cov Θ = k (Σ X_iᵀ S_i⁻¹ X_i)⁻¹,  k = mean(ψ²) / mean(ψ')² n / (n − p)      of an M-estimator (Huber 1981, 7.6)
 
 A row may know some of its commands only: those that `told` marks as false weigh nothing beside their variance.
-Units: those of u and x. Limit: beyond a third of wrong rows it fails. Pinned by tests/test_calibration.py.
+Units: those of u and x. Limit: beyond a third of wrong rows it fails. Pinned by tests/calibration/test_calibration.py.
 """
 
 from __future__ import annotations

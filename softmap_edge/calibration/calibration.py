@@ -9,7 +9,7 @@ that where the model acts least. Another home changes b only. Ticks are those of
 positions and the run has them, else those commanded. Left out: commands at the end of the model's range, what hangs
 slack, frames in motion where dwells are enough, rows that do not belong (Tukey). Units: ticks, mm. Limits: what is
 constant in all shapes (a wrong frame, a wrong length) bends A and b; look at what is left of the shapes. Pinned by
-tests/test_calibration.py.
+tests/calibration/test_calibration.py.
 """
 
 from __future__ import annotations

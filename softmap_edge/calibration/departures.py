@@ -9,7 +9,8 @@ Each rival is the affine map with a few columns more; what it is worth is told b
     turn       all shapes, about the axis of the base: found with the map (`map_fit.py`), errors in mm, size in degrees
 
 r = ticks − home. A rival counts where the error held out falls by more than WORTH and by CLEAR of its standard errors.
-Limit: what has no such form, and what is smaller than the scatter of the matches. Pinned by tests/test_calibration.py.
+Limit: what has no such form, and what is smaller than the scatter of the matches. Pinned by
+tests/calibration/test_calibration.py.
 """
 
 from __future__ import annotations

@@ -7,7 +7,7 @@ d_k is how far a held command is from the map, in mm of shape: what no command c
 that hangs slack hardly moves the shape; matched, it jumps over the whole slack for a little that the model lacks, and a
 fit to matched commands follows. Here it weighs as much as it moves. φ is a turn of all shapes about the base's axis,
 found beside the map where that is asked: tendons that are routed elsewhere about the axis, or the roll of the frame.
-Units: mm, ticks, rad. Pinned by tests/test_calibration.py.
+Units: mm, ticks, rad. Pinned by tests/calibration/test_calibration.py.
 """
 
 from __future__ import annotations

@@ -6,7 +6,7 @@
 The paper stops at j*: its answer is off by up to half a step of the grid, and by more between shapes that are alike.
 f is the prior of the model, with its residual if it has one, in the orientation of the run; loads are not in it.
 A cloud does not tell the roll of a round finger (`roll_seen` false): a turn of each section about the body is then left
-out of the residuals and of the slopes. Units: mm, and the commands'. Pinned by tests/test_calibration.py.
+out of the residuals and of the slopes. Units: mm, and the commands'. Pinned by tests/calibration/test_calibration.py.
 """
 
 from __future__ import annotations

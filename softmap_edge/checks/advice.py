@@ -3,7 +3,7 @@
 Each word is about one question that a diagnosis will ask, answered from the run alone: how many frames, is the noise
 known, is home visited, how does it move. Limits are those of the methods that ask (`noise.py`, `fit.py`) or a factor
 below which two things look alike; every word names its number. Minutes are those of the block that is missing.
-Units: mm, s, °C. Pinned by tests/test_advice.py.
+Units: mm, s, °C. Pinned by tests/checks/test_advice.py.
 """
 
 from __future__ import annotations

@@ -7,7 +7,7 @@ Both are adjusted for their number of columns. From CONFUSED on the run cannot s
 returns, such as a temperature that warms up and cools down, is not tested against a parabola in time, because drift is
 monotonic. Tied channels are the null space of the standardised commands, split into groups that share a null vector.
 Units: °C, g, V, s. Limit: a condition that follows earlier commands (heat of the motors) is not tested.
-Pinned by tests/test_collinear.py.
+Pinned by tests/checks/test_collinear.py.
 """
 
 from __future__ import annotations

@@ -10,7 +10,7 @@ A change that play and lag explain as well is not reported (`SEPARATE`): a step 
 b is the rate: frames stamped by a clock that runs fast by 100 ppm come 100 µs later every second. The constant a is
 latency, or one shift of the clock, and is not reported (`clock_shift`). Units: s, mm. Limits: 200 frames in 20
 s, commands that explain half of the motion, and a change beyond five standard errors; one step. Pinned by
-tests/test_frame_clock.py.
+tests/checks/test_frame_clock.py.
 """
 
 from __future__ import annotations

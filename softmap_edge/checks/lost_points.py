@@ -2,7 +2,7 @@
 
 `softmap import` sets such points aside and writes the field `NOT_SEEN`, so that the search is not repeated. Any other
 run is searched in the same way (`logs/not_seen.py`, `logs/shifted.py`).
-Pinned by tests/test_not_seen.py.
+Pinned by tests/logs/test_not_seen.py.
 """
 
 from __future__ import annotations

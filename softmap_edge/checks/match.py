@@ -7,8 +7,8 @@ clock 0.2 s late.
 
     follows = 1 − Σ |(s − p) − mean|² / Σ |s − mean|²     s seen, p predicted points, means over the frames
 
-Units: mm, s, deg. Limit: markers on one line have no handedness and no order. Pinned by tests/test_bad_runs.py and
-tests/test_wrongly_declared.py.
+Units: mm, s, deg. Limit: markers on one line have no handedness and no order. Pinned by tests/run/test_bad_runs.py and
+tests/diagnosis/test_wrongly_declared.py.
 """
 
 from __future__ import annotations

@@ -6,7 +6,7 @@ clock. So before such a fault is claimed, a play of each width is tried in front
     share = 1 − Σ |(s − p) − mean|² / Σ |s − mean|²          s seen, p predicted points behind a play
     free  = (Σ s p)² / (Σ s² Σ p²)                           the same with the best scale, about the means
 
-Limit: one gap for all channels, in half of their median range. Pinned by tests/test_remembered.py.
+Limit: one gap for all channels, in half of their median range. Pinned by tests/checks/test_remembered.py.
 """
 
 from __future__ import annotations

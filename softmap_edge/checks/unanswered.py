@@ -1,6 +1,6 @@
 """Find runs whose points move although no command changes, or stay still although commands change; without a model.
 
-A diagnosis finds both with the model (`sound.stray`, `belongs.still`). Pinned by tests/test_unanswered.py.
+A diagnosis finds both with the model (`sound.stray`, `belongs.still`). Pinned by tests/checks/test_unanswered.py.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """What the verbs of commissioning share: what has to be held while anything moves, and questions at the terminal.
 
-Pinned by tests/test_move.py, tests/test_home.py and tests/test_calibrate_bench.py.
+Pinned by tests/robot/test_move.py, tests/robot/test_home.py and tests/robot/test_calibrate_bench.py.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Print once on stderr, for every command, each opened recording that is damaged or was cut short.
 
-Such a command works with the sound part and returns 1. Pinned by tests/test_mcap_damage.py.
+Such a command works with the sound part and returns 1. Pinned by tests/files/test_mcap_damage.py.
 """
 
 from __future__ import annotations

@@ -4,7 +4,7 @@
     rms = sqrt(mean d²); tip = the same for the centroid of the tip points; a cell's rms is over its frames' points
 
 Nothing is fitted here. Whether the error is held out depends on whether the run took part in making the model.
-Units: mm, s. Pinned by tests/test_compare.py.
+Units: mm, s. Pinned by tests/comparison/test_compare.py.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Comparisons and series of outputs other than places, with their figures in the output's own unit for a report.
 
-Pinned by tests/test_output.py.
+Pinned by tests/run/test_output.py.
 """
 
 from __future__ import annotations

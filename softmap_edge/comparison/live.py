@@ -5,7 +5,7 @@ periods alone and keeps its memory. A frame waits for the positions of its time,
 the effective commands, so the error is that of the complete run. Effective commands are kept for `KEPT` s; a shape with
 memory uses no more of them.
 Known limit: an effect of the user's own cannot be advanced; with one all positions are kept and rolled out each time.
-Pinned by tests/test_live.py.
+Pinned by tests/robot/test_live.py.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """When a family counts: its fall on held-out folds, ordinary imperfections, and what it cannot be distinguished from.
 
-Units: mm. Pinned by tests/test_decision.py and tests/test_two_levels.py.
+Units: mm. Pinned by tests/diagnosis/test_decision.py and tests/diagnosis/test_two_levels.py.
 """
 
 from __future__ import annotations

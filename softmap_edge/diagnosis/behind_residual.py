@@ -9,7 +9,7 @@ This module diagnoses the residual itself: each effect is fitted to it alone. An
 explains HIDES of the residual's mean square and does not increase the misfit of the run. More can be concluded only
 from a run in which the two differ. A residual within the model error, or one that does not lower the error of this run,
 hides nothing.
-Units: mm. Limit: effects are fitted to the residual one by one. Pinned by tests/test_residual.py.
+Units: mm. Limit: effects are fitted to the residual one by one. Pinned by tests/adaptation/test_residual.py.
 """
 
 from __future__ import annotations

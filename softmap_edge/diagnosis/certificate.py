@@ -18,7 +18,7 @@ so r claims count m = 4 r C(N, r). e-BH (Wang and Ramdas 2022, doi:10.1111/rssb.
 false discovery rate: the k claims of largest e are certified, for the largest k whose claims all reach m / (0.05 k). It
 holds for dependent claims.
 Limits: both fits are one linear step from that of all frames; noise that is correlated for longer than the gap between
-blocks is accounted for by its inflation only. Pinned by tests/test_certificates.py.
+blocks is accounted for by its inflation only. Pinned by tests/diagnosis/test_certificates.py.
 """
 
 from __future__ import annotations

@@ -5,7 +5,7 @@
 The slopes of the prediction over the numbers, times the condition, are columns of the normal equations at level 1. A
 law is constant unless these columns explain a good part of what it explains. A law that changes may be another law of
 its family, or act on another effect: in both cases something unknown is left. To first order in θ.
-Pinned by tests/test_changing.py.
+Pinned by tests/diagnosis/test_changing.py.
 """
 
 from __future__ import annotations

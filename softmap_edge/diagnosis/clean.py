@@ -12,7 +12,7 @@
 A body that rests in a play repeats itself too, and so does a model without noise. A camera that hangs jumps to the body
 afterwards, while a body in a play continues from where it was. Nothing is set aside if no still pair of frames differs.
 Limits: two wrong frames in a row that agree are kept; a border that fewer than 3 % of the frames touch is not found.
-Units: mm, s. Pinned by tests/test_bad_runs.py.
+Units: mm, s. Pinned by tests/run/test_bad_runs.py.
 """
 
 from __future__ import annotations

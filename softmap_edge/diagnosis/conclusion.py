@@ -1,6 +1,6 @@
 """From a finished search to what a diagnosis says: findings with parameters, alternatives, and what is open.
 
-Nothing is searched here. Units: mm. Pinned by tests/test_diagnosis.py.
+Nothing is searched here. Units: mm. Pinned by tests/diagnosis/test_diagnosis.py.
 """
 
 from __future__ import annotations

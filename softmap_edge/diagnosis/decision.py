@@ -1,7 +1,7 @@
 """Every constant of the decision between families and between laws, and the comparisons that use them.
 
 A family or a law is compared by its loss on held-out folds, fold by fold. Each constant has its reason in a comment;
-`tests/test_decision.py` pins each.
+`tests/diagnosis/test_decision.py` pins each.
 """
 
 from __future__ import annotations

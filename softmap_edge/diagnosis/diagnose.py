@@ -5,7 +5,7 @@
         → certificates from withheld blocks (certificate.py) → findings, alternatives, verdict (conclusion.py)
 
 The verdict is one of identified, ambiguous, partly_explained, nothing, cannot_tell, measurement_fault. `diagnose` is
-deterministic: the same input gives the same document. Pinned by tests/test_diagnosis.py.
+deterministic: the same input gives the same document. Pinned by tests/diagnosis/test_diagnosis.py.
 """
 
 from __future__ import annotations

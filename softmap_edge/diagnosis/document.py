@@ -1,7 +1,7 @@
 """The document softmap.diagnosis/2: the result of a diagnosis, as an object that prints, reads and writes itself.
 
 Documents of schema 1 are read as well. They come from untrusted files, so everything is checked on reading.
-Pinned by tests/test_diagnosis.py and tests/test_mutated_files.py.
+Pinned by tests/diagnosis/test_diagnosis.py and tests/model/test_mutated_files.py.
 """
 
 from __future__ import annotations

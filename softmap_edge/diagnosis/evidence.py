@@ -5,7 +5,7 @@ fit: blocks of time, or an independent run. The static baseline is a ridge on a 
 limit of a corrector without memory or physics.
 Testability: whitened size of an effect's signature at a typical strength (see `strongest`) on this run.
 Units: mm. Known limit: the ridge detects smooth dependence on these conditions, not single events. Pinned by
-tests/test_diagnosis.py and tests/test_evidence.py.
+tests/diagnosis/test_diagnosis.py and tests/diagnosis/test_evidence.py.
 """
 
 from __future__ import annotations

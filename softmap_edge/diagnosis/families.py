@@ -4,7 +4,7 @@ A family is a bank of columns X = (∂f/∂v_c) · b(t) about the effective comm
 by ridge regression of the whitened residual; cross-validation chooses the strength of the ridge and says by how much
 the held-out loss falls. The columns, the families and the normal equations are compiled (`rust/families/`).
 Known limit: a representative is linear about the state, and is linearised again until its loss falls no more.
-Pinned by tests/test_two_levels.py.
+Pinned by tests/diagnosis/test_two_levels.py.
 """
 
 from __future__ import annotations

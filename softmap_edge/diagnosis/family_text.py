@@ -1,7 +1,8 @@
 """The findings of a diagnosis in the terms of its two levels: each family, its law, and the share of both.
 
 A line for people (`Memory: backlash, gap 1.39 mm on channel 0 and 0.77 mm on channel 1`) and the facts about it. Pages
-take them from here (`report/families.py`). Documents of schema 1 hold no families. Pinned by tests/test_loop_figure.py.
+take them from here (`report/families.py`). Documents of schema 1 hold no families. Pinned by
+tests/report/test_loop_figure.py.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """The results of a diagnosis as frozen records, written to and read from the document softmap.diagnosis/2.
 
-Units: mm, s. Pinned by tests/test_document.py.
+Units: mm, s. Pinned by tests/diagnosis/test_document.py.
 """
 
 from __future__ import annotations

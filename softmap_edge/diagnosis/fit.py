@@ -8,7 +8,7 @@ A Jacobian is one batched call (forward differences, 0.4 % of the range: play an
 While steps win what the slopes promise it is carried on by secants (Broyden 1965,
 doi:10.1090/S0025-5718-1965-0198670-6); a fit ends with a new one.
 Limit: blocked cross-validation refits each fold by one Gauss-Newton step from the full fit, of at most half a range.
-Pinned by tests/test_fit.py.
+Pinned by tests/diagnosis/test_fit.py.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Fits of sets of effects on one problem, each made once: parameters, cross-validation, what each member does.
 
 A set is fitted from the best of a few starts of its newest member, with the others where a smaller set left them.
-Units: mm. Pinned by tests/test_fits.py.
+Units: mm. Pinned by tests/diagnosis/test_fits.py.
 """
 
 from __future__ import annotations

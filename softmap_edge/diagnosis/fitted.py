@@ -1,6 +1,6 @@
 """What a fit gives of an effect: its numbers, those of the prior that were fitted along, and what it does elsewhere.
 
-Units: those of the parameters, mm. Pinned by tests/test_diagnosis.py.
+Units: those of the parameters, mm. Pinned by tests/diagnosis/test_diagnosis.py.
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
 The family's members are fitted on top of what was found, then pairs of members, the same law with a number for each
 channel, and for static maps generic laws, which are no effects. A law *reaches* if it leaves no more than the best of
 all, the representative included, up to one standard error or the tolerance of its form. If none reaches, the law is
-unknown; if a generic law with as few numbers does, it is open. Pinned by tests/test_two_levels.py.
+unknown; if a generic law with as few numbers does, it is open. Pinned by tests/diagnosis/test_two_levels.py.
 """
 
 from __future__ import annotations

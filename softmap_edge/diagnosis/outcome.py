@@ -1,7 +1,7 @@
 """What a search holds and returns: the families it took, their joint fit, and the representatives alongside.
 
 A resolved law joins the fit. A family without a law stays as its representative: what that explains is taken off what
-is seen before the next fit. Pinned by tests/test_two_levels.py.
+is seen before the next fit. Pinned by tests/diagnosis/test_two_levels.py.
 """
 
 from __future__ import annotations

@@ -15,7 +15,8 @@ What is left to doubt:
 - a rod, whose stated error is mostly that the robot does not repeat itself: per feature 2·(var a - cov(a, b)) of the
   residuals a of the reference and b of the run, what the reference does not share with the run, twice.
 Units: those of the commands, mm, s. Limits: an effect in both runs is never seen; one that acts on top of another
-(more load on a softened body) is seen to first order. Pinned by tests/test_paired.py and tests/test_trunk.py.
+(more load on a softened body) is seen to first order. Pinned by tests/diagnosis/test_paired.py and
+tests/rod/test_trunk.py.
 """
 
 from __future__ import annotations

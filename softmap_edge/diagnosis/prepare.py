@@ -1,6 +1,6 @@
 """What a search needs before it begins: which effects are candidates, and a run with its noise and form error.
 
-Pinned by tests/test_diagnosis.py and tests/test_fit.py.
+Pinned by tests/diagnosis/test_diagnosis.py and tests/diagnosis/test_fit.py.
 """
 
 from __future__ import annotations

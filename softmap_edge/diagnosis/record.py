@@ -1,7 +1,7 @@
 """A run as a fit sees it: measured features, commands, what the run declares, and predictions for any chain.
 
 Several runs have the same face (`records.py`), so that nothing else in a diagnosis counts runs. Units: mm, s, g.
-Pinned by tests/test_fit.py.
+Pinned by tests/diagnosis/test_fit.py.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 Memory starts in equilibrium in each run, and what belongs to a session has numbers of its own for each (`layout.py`).
 Units: mm, s, g. Limit: the runs must be seen in the same way
-(vertices, or the same number of markers). Pinned by tests/test_several_runs.py.
+(vertices, or the same number of markers). Pinned by tests/diagnosis/test_several_runs.py.
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
     rank families about what is known -> accept the best -> ask those near it for their laws -> take one -> again
 
 If the best family is not accepted, none is: the next best would only stand in for it. Where a family stays open, one
-law or two at once are tried instead (`together.py`). Pinned by tests/test_two_levels.py, test_decision.py.
+law or two at once are tried instead (`together.py`). Pinned by tests/diagnosis/test_two_levels.py, test_decision.py.
 """
 
 from __future__ import annotations

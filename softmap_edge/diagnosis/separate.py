@@ -4,7 +4,7 @@ Each family declares an experiment (`rust/families/`), which varies what only th
 the one of the more special input is varied: a declared condition before time, time before the history of the commands.
 Of two families of one kind it is the one declared later. So two speeds separate delay from play, a repeat after a rest
 separates creep from time, and two orientations separate a load from the shape at rest.
-Pinned by tests/test_separate.py.
+Pinned by tests/diagnosis/test_separate.py.
 """
 
 from __future__ import annotations

@@ -4,7 +4,7 @@ Each channel is a model of its own whose shape is the command itself, so the sam
 lacks finds what the servo does: command → chain of command effects → encoder. A delay that is found here is the
 servo's, and neither the tendon's nor the camera's. Units: those of the command, s. Limits: one channel is 1 number a
 sample, and so at most THINNED samples, evenly thinned, are looked at; what acts behind the encoder is not seen.
-Pinned by tests/test_servo.py.
+Pinned by tests/diagnosis/test_servo.py.
 """
 
 from __future__ import annotations

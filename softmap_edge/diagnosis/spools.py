@@ -5,7 +5,7 @@
 An eccentric pulley repeats after one turn, 2πR of the command. A run can also declare R (`spool_radius_mm`, which an
 import keeps from its mapping). The calibration comes first, because it was measured in the model's own commands.
 Limits: one radius for all spools, on the horn itself without gears, and each servo moves its own channel.
-Pinned by tests/test_spools.py.
+Pinned by tests/diagnosis/test_spools.py.
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
 A learned model was fitted to its runs. What was static in the robot then is part of its static map, so these runs show
 no static effect. `softmap learn` also puts the memory that it finds into the chain (`Model.learned_in`); with --static
 it leaves all memory to the diagnosis. That memory has bent the static map, so each law is fitted with the map solved
-again (`Record.remapped`, `families.State`). Pinned by tests/test_taught.py.
+again (`Record.remapped`, `families.State`). Pinned by tests/diagnosis/test_taught.py.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Laws of different families, fitted at once where the search family by family leaves a family open.
 
 The laws replace what was found one by one only if they leave far less, or no more with more families resolved. Pinned
-by tests/test_two_levels.py.
+by tests/diagnosis/test_two_levels.py.
 """
 
 from __future__ import annotations

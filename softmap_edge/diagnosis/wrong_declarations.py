@@ -9,7 +9,7 @@ again under the signs that look best with a free weight at the tip,
 and the declaration is at fault where its held-out error is WORSE of the other's or less. A load is scaled by what fits
 best before a search, and must hold there too. Units: mm RMS, held out.
 Limit: axes that were exchanged are not tried, nor runs relative to a reference. Pinned by
-tests/test_wrongly_declared.py.
+tests/diagnosis/test_wrongly_declared.py.
 """
 
 from __future__ import annotations

@@ -5,7 +5,7 @@ or the warmth, never two of them, because what then differs could not be told ap
 condition it does in the usual one too, so that a block alone holds both. `plan` puts blocks one after another.
 Units: s, mm (or the robot's own unit), g, °C. Moves are those of `run/protocol.py`, within the limits of a robot.
 Known limit: a warm-up is planned as a straight rise; a real one follows the thermometer. Pinned by
-tests/test_experiment.py.
+tests/experiment/test_experiment.py.
 """
 
 from __future__ import annotations

@@ -13,7 +13,7 @@ laws. Rivals are refitted in full, unseen effects against one linearised step. A
 it settles, its separation a minute over that of the best block for this question. Blocks are first ranked by
 questions between two families of effects: a law is only worth asking for once its family is known.
 Limits: old runs are thinned (`simulate.OLD` frames), which makes separations smaller, not larger; several blocks are
-taken to add nothing to each other. Pinned by tests/test_next_experiment.py.
+taken to add nothing to each other. Pinned by tests/experiment/test_next_experiment.py.
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
 A `World` holds the questions, the fitted parameters of each answer, the noise and the old runs; `answers` simulates a
 block and says what the wrong answer would leave of the right one (`choose.py` has the formula). Predictions are those
 of the diagnosis itself: records, noise and form error, whitened features, bounded fits. Pinned by
-tests/test_next_experiment.py.
+tests/experiment/test_next_experiment.py.
 """
 
 from __future__ import annotations

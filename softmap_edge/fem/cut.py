@@ -4,7 +4,7 @@ Each face of a brick is cut from its corner of the smallest number, so that two 
 without knowing of each other; a brick is the six tetrahedra from its own smallest corner to the triangles of the three
 faces that do not hold it (Dompierre et al., How to subdivide pyramids, prisms and hexahedra into tetrahedra, 1999).
 With a node in the middle of each brick and twelve tetrahedra the factor is four times as large. Edges stay straight.
-Pinned by tests/test_virtual.py.
+Pinned by tests/synthetic/test_virtual.py.
 """
 
 from __future__ import annotations

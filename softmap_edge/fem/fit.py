@@ -12,7 +12,7 @@ of one dwell are no independent evidence. A number whose deviation stays above h
 run: it keeps its start value and is said not to be identifiable. Of modulus and density only the ratio is seen unless a
 known load hangs on the finger, so density is never fitted. Units: mm, MPa, N/mm, g.
 Known limit: what the finger lacks (play, creep, an unknown load) bends these numbers; diagnose with the fitted finger
-afterwards, and compare the error on the dwells that were kept out. Pinned by tests/test_refit_finger.py.
+afterwards, and compare the error on the dwells that were kept out. Pinned by tests/fem/test_refit_finger.py.
 """
 
 from __future__ import annotations

@@ -4,7 +4,7 @@
 
 The child is forked, so it starts in milliseconds and needs no import. It cannot write to any file, its output is
 dropped, and its answer comes back as JSON and raw numbers: no pickle is read. If it crashes, hangs or takes more
-memory than allowed, only the child ends. Pinned by tests/test_in_child.py.
+memory than allowed, only the child ends. Pinned by tests/files/test_in_child.py.
 """
 
 from __future__ import annotations

@@ -4,7 +4,7 @@ An MCAP file that was closed ends with a summary (how many messages, where the c
 bytes. CRC-32 checksums of the data section and of the summary are there unless they are 0. A file that was cut has no
 end. After bytes that are no record the walk goes on at the next chunk. A disk that lost its last blocks leaves zeros:
 a record that ends in them and has no checksum of its own is no record. This module needs no package. Pinned by
-tests/test_mcap_damage.py.
+tests/files/test_mcap_damage.py.
 
 Source of the format: MCAP, Foxglove, https://mcap.dev/spec.
 """

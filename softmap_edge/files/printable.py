@@ -2,7 +2,7 @@
 
 Names and paths come from files and arguments of unknown origin. Raw, they could move the cursor, recolour the terminal,
 forge a line or fail to encode. Escapes have the form of JSON (`\\u001b`), so JSON documents stay valid.
-Pinned by tests/test_printable.py.
+Pinned by tests/files/test_printable.py.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Format times for messages, with enough digits to show how much they differ.
 
-Pinned by tests/test_import_publishers.py.
+Pinned by tests/logs/test_import_publishers.py.
 """
 
 from __future__ import annotations

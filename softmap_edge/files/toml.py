@@ -1,7 +1,7 @@
 """A TOML table that is read key by key and then says which of its keys nobody knows.
 
 Every fault is one RunError that names the file, the key, what was found and what is expected. `quoted` is how any text
-is written into TOML. Pinned by tests/test_rig_file.py.
+is written into TOML. Pinned by tests/robot/test_rig_file.py.
 """
 
 from __future__ import annotations

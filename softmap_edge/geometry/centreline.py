@@ -9,7 +9,7 @@ How the line moves in another shape of the same points is linear in them: least 
 
 with polynomials c, a, b along the body, so that points that lie unevenly around it do not pull the line aside.
 Units: mm. Limits: a body at least some three radii long; fewer than eight points are taken as the line itself, one
-behind the other. Pinned by tests/test_centreline.py.
+behind the other. Pinned by tests/geometry/test_centreline.py.
 """
 
 from __future__ import annotations

@@ -6,7 +6,7 @@
     covariance (Jᵀ W J)⁻¹, the same six numbers, in the same frame, as the effect `mount`
 
 Units: mm, rad. Limit: from three points an outlier cannot be told; half of the points and more may not be outliers.
-Pinned by tests/test_align.py.
+Pinned by tests/alignment/test_align.py.
 """
 
 from __future__ import annotations

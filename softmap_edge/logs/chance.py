@@ -2,7 +2,7 @@
 
 Noise shows in differences of fourth order, which change sign from row to row; a smooth motion hardly shows in them. If
 the noise is below the last digit of the file, as of a resting finger with coarse digits, a repeat is likely. If it is
-far above, a repeat is an old value. Pinned by tests/test_old_pictures.py.
+far above, a repeat is an old value. Pinned by tests/logs/test_old_pictures.py.
 """
 
 from __future__ import annotations

@@ -8,7 +8,7 @@ A clock that runs backwards is classified:
   `to_row` cut the log there;
 - rows *out of order* are few; `time.repeated = "drop"` leaves them out, and is offered only if it loses few rows.
 
-Pinned by tests/test_clock.py.
+Pinned by tests/logs/test_clock.py.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 Values decide before names: columns that move come before constants, and unit quaternions are no encoders. Goals in x,
 y, z come last, since a controller of places logs them next to the commands of its motors. Pinned by
-tests/test_drive_roles.py.
+tests/logs/test_drive_roles.py.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 The largest number of a type stands for "not seen": 3.4028e38 of float32, 1.7977e308 of float64. So does another number
 beyond `LARGEST` that a column holds several times to the last digit, such as 1e30 or 9.96921e36. A number beyond
-`LARGEST` that occurs once is a fault of the file. Pinned by tests/test_fills.py.
+`LARGEST` that occurs once is a fault of the file. Pinned by tests/logs/test_fills.py.
 """
 
 from __future__ import annotations

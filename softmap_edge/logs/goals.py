@@ -2,7 +2,7 @@
 
 A name such as `target` or `des` marks a desired place. A name such as `sim` or `est` marks a computed one, but a log
 may name what it measured so as well. Values decide then: such a triple follows a marker of the log, near it and with
-its motion. Pinned by tests/test_goals.py.
+its motion. Pinned by tests/logs/test_goals.py.
 """
 
 from __future__ import annotations

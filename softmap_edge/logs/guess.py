@@ -3,7 +3,7 @@
 From the header and the ranges: which column is time, which are commands, encoders, markers and labels, in which unit;
 from the markers at rest, which axis of the log is the robot's and where its clamp may be. A log does not show the rate
 of a counter, the spool, gravity and the place of the clamp: these are written as assumptions to be replaced. The
-proposal is imported, and the result is a part of the answer. Pinned by tests/test_guess.py.
+proposal is imported, and the result is a part of the answer. Pinned by tests/logs/test_guess.py.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 Three columns next to each other are a place where a unit quaternion follows them, as in a pose; or where they move
 smoothly and keep a distance from the origin that changes little, as points of a robot do, and no other moving column is
-left over. Commands start at home and do not match. Pinned by tests/test_guess_time.py.
+left over. Commands start at home and do not match. Pinned by tests/logs/test_guess_time.py.
 """
 
 from __future__ import annotations

@@ -1,7 +1,9 @@
 """Propose how to read a column of time that falls in some rows, and state what is doubtful about it.
 
 A roll-over shows the unit: a counter of 2^32 counts is no time since 1970. A single step is taken out by `jumps =
-"mend"`. Other falls are left out by `repeated = "drop"` where enough rows remain. Pinned by tests/test_guess_falls.py.
+"mend"`. Other falls are left out by `repeated = "drop"` where enough rows remain.
+
+Pinned by tests/logs/test_guess_falls.py.
 """
 
 from __future__ import annotations

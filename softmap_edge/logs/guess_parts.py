@@ -1,7 +1,7 @@
 """Find logs that are parts of one log: files with the same columns that follow one another in time.
 
 Files with the same columns that overlap in time are other logs, or other recordings of the same robot; they stay apart,
-and the answer names them. Pinned by tests/test_csv_parts.py.
+and the answer names them. Pinned by tests/logs/test_csv_parts.py.
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
 A column whose cells are dates or times always counts. Otherwise a column counts if it rises throughout and has the name
 of a time, or is the first. A clock that falls counts if one roll-over or one step explains it. Full seconds that repeat
 are completed by the fraction next to them: of the same name, or because it falls only where they rise. Pinned by
-tests/test_guess_time.py.
+tests/logs/test_guess_time.py.
 """
 
 from __future__ import annotations

@@ -7,7 +7,7 @@ without a beat: new values must be evenly spaced. Channels read in turn (a bus t
 one by one. A frame of markers that repeats the one before bit for bit is an old picture if the noise makes a repeat
 improbable (`chance.py`), or if new pictures come at a beat and move by more than the digits of the file. It is left
 out, unless it stays longer than 0.25 s. A resting finger with coarse digits repeats itself as well; its frames stay.
-Pinned by tests/test_import_held.py and tests/test_old_pictures.py.
+Pinned by tests/logs/test_import_held.py and tests/logs/test_old_pictures.py.
 """
 
 from __future__ import annotations

@@ -6,7 +6,8 @@ counts in which another marker is fresh. If most predictions move on, far beyond
 file, the marker was lost. If all markers stand still together while the commands move, they were lost in a recording
 with noise: no sensor repeats its noise, but a simulation in a play does. In a recording without noise they were lost if
 they jump afterwards to where the commands brought them: a body that leaves a play or a stop does not jump.
-Limit: a marker that is lost while the robot rests is not found, which is harmless. Pinned by tests/test_not_seen.py.
+Limit: a marker that is lost while the robot rests is not found, which is harmless. Pinned by
+tests/logs/test_not_seen.py.
 """
 
 from __future__ import annotations

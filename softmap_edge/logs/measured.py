@@ -1,6 +1,6 @@
 """The part of a mapping that names outputs other than places (force, angle, level), and the names of columns.
 
-Pinned by tests/test_output.py.
+Pinned by tests/run/test_output.py.
 """
 
 from __future__ import annotations

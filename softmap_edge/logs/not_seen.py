@@ -12,7 +12,7 @@ One coordinate may stand for "not seen" alone (`one_coordinate`).
 A place that only repeats, with three different numbers, needs `alone` and one of the others. A marker that is alone at
 rest, under one command near which it is seen nowhere else, is not tested. A marker that never moves is kept.
 Limits: a place that occurs once and is not three equal numbers; fewer than `LEAST` frames.
-Pinned by tests/test_not_seen.py.
+Pinned by tests/logs/test_not_seen.py.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 Such a number is the same to the last digit in several frames, and lies farther from all other numbers of the coordinate
 than these reach. The marker jumps to it and away, or it is not the place of a robot at rest. The other coordinates may
-go on, as a pixel does without depth. Pinned by tests/test_one_coordinate.py.
+go on, as a pixel does without depth. Pinned by tests/logs/test_one_coordinate.py.
 """
 
 from __future__ import annotations

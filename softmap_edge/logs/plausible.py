@@ -3,7 +3,7 @@
 Each doubt is one line that names the suspicion and the remedy in the mapping. Limits are wide: a robot of 3 mm to 3 m,
 0.2 to 300 mm of tendon, half a turn to four turns of a motor. What no range tells (cm for mm, a scale of 2) is not
 found. The robot's rest axis is z of the base frame by definition, so markers that run along another axis at rest mean a
-y-up log or swapped axes. Pinned by tests/test_import_doubts.py.
+y-up log or swapped axes. Pinned by tests/logs/test_import_doubts.py.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Find where a clock was set, back or forward: time falls or leaps, and the values go on as if no time had passed.
 
 Rows that arrive out of order fall as well, but the time before is soon reached again. A pause leaps as well, but the
-robot rests before or after it, or is elsewhere. Pinned by tests/test_clock.py.
+robot rests before or after it, or is elsewhere. Pinned by tests/logs/test_clock.py.
 """
 
 from __future__ import annotations

@@ -8,7 +8,7 @@ one measurement, unless they come as near to each other as the digits of the fil
 In a frame with all markers the columns are right. From it, each next frame is matched in order, with the least total
 distance to the last places; a marker counts as found in another column if it moved by at most `CLEAR` of the distance
 between the two. Two columns of one place whose marker is not clear are both not seen.
-Limit: frames so far apart that markers move farther are not tested. Pinned by tests/test_shifted.py.
+Limit: frames so far apart that markers move farther are not tested. Pinned by tests/logs/test_shifted.py.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Find the files behind the paths of `softmap import` (files, folders, packed files), and assign them to logs.
 
 A folder stands for its files, a packed file for its contents. Several recordings that fit one log are its parts. Logs
-whose mappings differ only in `file` are one log in parts. Pinned by tests/test_containers.py.
+whose mappings differ only in `file` are one log in parts. Pinned by tests/logs/test_containers.py.
 """
 
 from __future__ import annotations

@@ -9,7 +9,7 @@
 
 Days with dots are day.month.year. Others are read in both orders; a value above 12 or the sequence of the rows decides
 (`TimeText.settle`). A time of day that falls by most of its period has passed midnight and counts on. Pinned by
-tests/test_time_text.py.
+tests/logs/test_time_text.py.
 """
 
 from __future__ import annotations

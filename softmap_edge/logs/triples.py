@@ -10,7 +10,7 @@ rates are triples too. Three things decide, in this order:
             distance from the origin, and not within ±π, where angles and unit vectors are
 
 Triples whose names differ in digits only (`m1`, `m2`, `m3`) are classified together. In doubt a triple is left out.
-Pinned by tests/test_triples.py.
+Pinned by tests/logs/test_triples.py.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """The terms of a static map: monomials of the commands, of the pulls of cables, or tensor products of splines.
 
 Learning fits them (`rod/regression.py`), a bundle holds their weights, and coverage counts in them. Pinned by
-tests/test_rod.py, tests/test_pulled_rod.py and tests/test_splined_rod.py.
+tests/rod/test_rod.py, tests/rod/test_pulled_rod.py and tests/rod/test_splined_rod.py.
 """
 
 from __future__ import annotations

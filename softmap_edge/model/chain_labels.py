@@ -4,7 +4,7 @@
 of the cables that a channel pulls to either side. The numbers of one group of `chain.tie` are equal unless they are set
 separately, and `chain.group_labels` (P,) name the group (`backlash.gap`). Input may use either label, or that of a
 channel for both of its cables; the most exact one counts. Output has one entry for a group while its numbers are equal,
-else one for each. Pinned by tests/test_shared_numbers.py.
+else one for each. Pinned by tests/model/test_shared_numbers.py.
 """
 
 from __future__ import annotations

@@ -8,7 +8,7 @@ h/n is the diagonal of the hat matrix of this regression: the variance of a pred
 variance. h is large for a command whose channels are each within their range but were never moved together. For
 directions that the runs never moved, ε sets the tolerance. The limit is the largest h of the frames that taught the
 model.
-Source: Hoaglin and Welsch, The American Statistician 32 (1978) 17. Pinned by tests/test_coverage.py.
+Source: Hoaglin and Welsch, The American Statistician 32 (1978) 17. Pinned by tests/model/test_coverage.py.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 `softmap learn` writes one record for each effect that it adds to the chain. The records stand in the manifest of a
 bundle, under `made_from.learned_in`, and are checked like any untrusted file on reading. `Model.learned_in` returns
-them. Pinned by tests/test_learned_in.py.
+them. Pinned by tests/model/test_learned_in.py.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """The manifest of a bundle: what a folder says that it holds, every field checked before anything else is read.
 
-Pinned by tests/test_bundle.py.
+Pinned by tests/model/test_bundle.py.
 """
 
 from __future__ import annotations

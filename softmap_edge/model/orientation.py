@@ -3,7 +3,7 @@
 A prior is made in one orientation. Where frames declare another, the model's fields bend it: its shapes on a grid of
 commands, in their leading modes, are then a table that is as quick as the prior, one for each orientation of the run.
 Where these are more than MOST (a robot that is carried about), the prior stands. Units: mm, g.
-Pinned by tests/test_registration.py, tests/test_calibration.py.
+Pinned by tests/alignment/test_registration.py, tests/calibration/test_calibration.py.
 """
 
 from __future__ import annotations

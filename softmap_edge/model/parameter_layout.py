@@ -7,7 +7,7 @@ of the prior are listed with the parameters of effects.
 Numbers that channels share are one parameter of the layout, `backlash.gap`, unless the layout splits their effect. Then
 each channel, or each cable, has its own, `backlash.gap[0]`. `spread` maps the numbers of the runs' chains to the
 layout.
-Pinned by tests/test_fit.py, tests/test_several_runs.py and tests/test_shared_numbers.py.
+Pinned by tests/diagnosis/test_fit.py, tests/diagnosis/test_several_runs.py and tests/model/test_shared_numbers.py.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
     v (rad) ≈ polynomial(q),   length (mm) ≈ quadratic(v),   q = (u_eff − centre)/scale
 
-`rod/polynomial.py` fits its weights. Pinned by tests/test_rod.py and tests/test_pulled_rod.py.
+`rod/polynomial.py` fits its weights. Pinned by tests/rod/test_rod.py and tests/rod/test_pulled_rod.py.
 """
 
 from __future__ import annotations

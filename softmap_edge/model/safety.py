@@ -4,7 +4,7 @@ A bench's `rig.toml` is the ceiling; these limits can only tighten it (`robot/se
 from the model: the window is where the simulation (or the run that taught) has been, tension and strain are the largest
 that it holds there. The strain is that of the surface's triangles against their rest, λ − 1 of the larger principal
 stretch; inside a body that bends it is smaller. What nothing tells is a choice, and says so.
-Pinned by tests/test_safety.py.
+Pinned by tests/model/test_safety.py.
 """
 
 from __future__ import annotations

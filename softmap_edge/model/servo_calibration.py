@@ -4,7 +4,7 @@
 
 A in command units a tick, b what acts while the servos stand at `home`; home is a choice of the bench, b goes with it.
 A calibration is somebody else's file: shapes, finiteness, size and whether A has an inverse are checked each time.
-`converted` is the one place where the ticks of a run become commands. Pinned by tests/test_ticks.py.
+`converted` is the one place where the ticks of a run become commands. Pinned by tests/calibration/test_ticks.py.
 """
 
 from __future__ import annotations

@@ -2,7 +2,8 @@
 
 What an array is called says what it is: `axis0…` or `nodes`, `coefficients`, `mean` and `modes` of a family, or `onnx`;
 `coefficients_NAME` of a field, `tension_0…` among them; `pull`, `stiffness` and `stretch` of cables; `second_…`.
-Arrays may be whole numbers of steps (`npz.unpacked`). Units: those of `_core.FIELDS`. Pinned by tests/test_bundle.py.
+Arrays may be whole numbers of steps (`npz.unpacked`). Units: those of `_core.FIELDS`. Pinned by
+tests/model/test_bundle.py.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """The template of a bundle, `template.npz`: points at rest, triangles, tip, form error, body and handles, checked.
 
-Pinned by tests/test_bundle.py, tests/test_handles.py and tests/test_mutated_files.py.
+Pinned by tests/model/test_bundle.py, tests/geometry/test_handles.py and tests/model/test_mutated_files.py.
 """
 
 from __future__ import annotations

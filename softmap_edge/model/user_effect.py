@@ -6,7 +6,7 @@ runs the process, so nothing here loads by itself: a bundle carries a copy and i
 A name stands for one file: another file of the same name is refused until `forget_effect`. The law is called for each
 record with B = 1, remembers nothing between calls and begins in equilibrium with its first sample; that it changes
 nothing at its null values is tried once for each number of channels. It has no step, so no control loop takes it.
-Pinned by tests/test_own_effect.py and tests/test_own_effect_bundles.py.
+Pinned by tests/model/test_own_effect.py and tests/model/test_own_effect_bundles.py.
 """
 
 from __future__ import annotations

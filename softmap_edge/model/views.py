@@ -3,7 +3,7 @@
 A run of vertices or of the model's own markers gives the model's features; markers on a template are features of their
 own. Vertices laid onto clouds (`softmap register`) say `roll_seen = false`: what a round finger does about its own axis
 is not in them, so of its features the places of sections count and the directions do not. Units: mm.
-Pinned by tests/test_markers.py and tests/test_clouds_diagnosis.py.
+Pinned by tests/geometry/test_markers.py and tests/diagnosis/test_clouds_diagnosis.py.
 """
 
 from __future__ import annotations

@@ -10,7 +10,7 @@
 All in mm, over visible points, as a distance in space (root 3 times the noise of one coordinate).
 Known limits: 1 detects noise that stays constant through a dwell only where poses are visited again; 3 does not detect
 noise that moves the complete body; 4 counts motion that the model misses as noise.
-Pinned by tests/test_compare.py with known noise.
+Pinned by tests/comparison/test_compare.py with known noise.
 """
 
 from __future__ import annotations

@@ -9,7 +9,8 @@ shapes), so that play, creep and every other effect on the drive cancel out. Mem
 likelihood in the eigenbasis of the detrended correlation (Lindstrom & Bates 1988, doi:10.1080/01621459.1988.10478693):
 two numbers for turns and shifts alike in all directions, one more for each axis that clearly differs.
 Units: mm, rad, s. Limits: jitter is not detected with fewer than nine features or without revisited poses; a memory
-longer than an eighth of the run is a trend. Pinned by tests/test_jitter.py with jitter of known covariance and memory.
+longer than an eighth of the run is a trend. Pinned by tests/noise/test_jitter.py with jitter of known covariance and
+memory.
 """
 
 from __future__ import annotations

@@ -5,7 +5,8 @@
 A cell holds the frames of one command (within CELL of its range), orientation, load and temperature. A passage is an
 uninterrupted stay in it. A smooth map of the commands is subtracted inside a cell first, so that the width of a cell
 does not count.
-Units: mm, °C, g. Limit: commands of many channels that never repeat show nothing. Pinned by tests/test_memoryless.py.
+Units: mm, °C, g. Limit: commands of many channels that never repeat show nothing. Pinned by
+tests/noise/test_memoryless.py.
 """
 
 from __future__ import annotations

@@ -7,7 +7,7 @@ drift is subtracted. Noise reaches P with probability (1 − P)^((n − 3)/2) fo
 doi:10.1086/160554). Irregular motion is scatter along the commanded modes that is EXCESS times larger than isotropic
 noise would give there.
 Units: mm, s, Hz. Limits: with fewer than SPARE features besides modes and rigid motion only lines are found; motion
-slower than a dwell is not motion at rest. Pinned by tests/test_motion_at_rest.py.
+slower than a dwell is not motion at rest. Pinned by tests/noise/test_motion_at_rest.py.
 """
 
 from __future__ import annotations

@@ -13,7 +13,7 @@ jitter of the frame lasts longer than a dwell (`jitter.py`). Its six directions 
 second, all others are not. Motion of the body while its commands stand is not noise (`motion_at_rest.py`).
 Units: mm, s. Known limits: modes share one kernel length (0.4 of the command range); jitter is detected only where
 poses are visited again. A rod's error is not smooth in six commands, so its repeatable part counts as noise correlated
-in time (`rod_noise`). Pinned by tests/test_noise.py.
+in time (`rod_noise`). Pinned by tests/noise/test_noise.py.
 """
 
 from __future__ import annotations

@@ -6,7 +6,7 @@
 
 `check`, `compare` and `diagnose` take their noise from these.
 Units: mm, s. Limit: noise that stays constant through a dwell is detected only between visits of one pose
-(`jitter.py`). Pinned by tests/test_noise.py and tests/test_repeats.py.
+(`jitter.py`). Pinned by tests/noise/test_noise.py and tests/test_repeats.py.
 """
 
 from __future__ import annotations

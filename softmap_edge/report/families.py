@@ -1,6 +1,6 @@
 """The sections of a page on families: what the diagnosis detected, and what the model was learned with.
 
-Pinned by tests/test_loop_figure.py and tests/test_taught.py.
+Pinned by tests/report/test_loop_figure.py and tests/diagnosis/test_taught.py.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Loops: each output, or the tip, against a command, measured and predicted before and after, over one cycle.
 
-Pinned by tests/test_output.py and tests/test_loop_figure.py. Needs matplotlib.
+Pinned by tests/run/test_output.py and tests/report/test_loop_figure.py. Needs matplotlib.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """One thing that the doctor looked at, as a line: its name, how it stands, what was found, what to do.
 
-Errors here say what was wrong and, behind "; ", what to do (`hints.parted`). Pinned by tests/test_doctor.py.
+Errors here say what was wrong and, behind "; ", what to do (`hints.parted`). Pinned by tests/robot/test_doctor.py.
 """
 
 from __future__ import annotations

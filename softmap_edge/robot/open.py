@@ -1,6 +1,6 @@
 """A bench with the finger on it, and its robot for a program of a user's own: what docs/own_program.md shows.
 
-Pinned by tests/test_own_program.py, and by the tests of the verbs that drive.
+Pinned by tests/robot/test_own_program.py, and by the tests of the verbs that drive.
 """
 
 from __future__ import annotations

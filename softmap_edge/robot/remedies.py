@@ -2,7 +2,7 @@
 
 A message is the finding and, after "; ", the remedy. A "; " in brackets or in backquotes belongs to the text there.
 Code that does not know the user's files writes `--rig FILE`, or leaves `--rig` out; the command that shows the message
-fills it in. Pinned by tests/test_hints.py.
+fills it in. Pinned by tests/robot/test_hints.py.
 """
 
 from __future__ import annotations

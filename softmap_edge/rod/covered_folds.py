@@ -5,7 +5,7 @@ and its error measures the extrapolation of a polynomial, not its accuracy. So b
 halved until the rest covers them, by the leverage of the terms of the map that is to be fitted (`model/coverage.py`).
 The few frames that stay uncovered are not tested: one of them can weigh more than all others, and a diagnosis sets such
 frames aside. Where squares stand in for terms that are too many, all frames are tested. Long recordings keep the given
-blocks. Pinned by tests/test_learned_memory.py, tests/test_pulled_rod.py and tests/test_splined_rod.py.
+blocks. Pinned by tests/rod/test_learned_memory.py, tests/rod/test_pulled_rod.py and tests/rod/test_splined_rod.py.
 """
 
 from __future__ import annotations

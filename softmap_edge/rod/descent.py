@@ -1,7 +1,7 @@
 """Bounded Levenberg-Marquardt: minimise a sum of squares within bounds, damped by the diagonal of the normal equations.
 
-Numbers at a bound whose gradient points outward are left out of a step. Pinned by tests/test_elastic.py (exact
-recovery) and tests/test_learned_memory.py.
+Numbers at a bound whose gradient points outward are left out of a step. Pinned by tests/rod/test_elastic.py (exact
+recovery) and tests/rod/test_learned_memory.py.
 """
 
 from __future__ import annotations

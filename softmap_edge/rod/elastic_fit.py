@@ -7,7 +7,7 @@ part of the run's `block` labels (dealt out in turn, so that no fold holds all o
 time. Uncertainty: the larger of what the linearised fit says with frames taken as independent, and of the spread of
 those refits (jackknife), since neighbouring frames repeat the same form error. A number is *not told* by the run when
 it is left less certain than a guess (`Kind.doubt`), or when it is less certain than a tenth of one and follows another
-(`TRADED`). tests/test_elastic.py pins exact recovery, the folds, and what is told.
+(`TRADED`). tests/rod/test_elastic.py pins exact recovery, the folds, and what is told.
 """
 
 from __future__ import annotations

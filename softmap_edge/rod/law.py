@@ -6,7 +6,7 @@ Numbers are searched in 0 … 1 over their range, by logarithm where the range i
 of the held-out loss over the complete range comes first, then a bounded Levenberg-Marquardt from the best few. Ranges
 declared in mm are those of a drive of ±16 mm and scale with the drive. A gap may be nearly the complete range, and the
 held-back share may be all of the motion, because an output may be a force. σ is the larger of that of the linearised
-fit and that of the jackknife over the folds. Pinned by tests/test_learned_memory.py.
+fit and that of the jackknife over the folds. Pinned by tests/rod/test_learned_memory.py.
 """
 
 from __future__ import annotations

@@ -5,8 +5,9 @@ one, fitted by `elastic_fit.py`; else a chain of chords whose bending angles are
 both, the memory that was in the robot is found (`memory.py`): its law joins the chain by name, with its alternatives.
 `static` leaves it out. With an elastic rod only delays join; other memory is reported. Degree, ridge and law are those
 with the lowest error. Frames closer than `gap_s` to a block are not used to predict it. These few choices are made on
-the blocks that give the stated error, so it is slightly low. Frames in `hold_out` are never used. tests/test_rod.py,
-tests/test_elastic.py and tests/test_learned_memory.py pin exact recovery and the error on real data.
+the blocks that give the stated error, so it is slightly low. Frames in `hold_out` are never used.
+tests/rod/test_rod.py, tests/rod/test_elastic.py and tests/rod/test_learned_memory.py pin exact recovery and the error
+on real data.
 """
 
 from __future__ import annotations

@@ -17,7 +17,8 @@ families are tried again.
 
 Several runs: each run whose commands the others cover is also held out as a block. This separates families that draw
 the same loop at one amplitude and speed.
-Limits: laws act in series with the map; a rate alone has no law in the library. Pinned by tests/test_learned_memory.py.
+Limits: laws act in series with the map; a rate alone has no law in the library. Pinned by
+tests/rod/test_learned_memory.py.
 """
 
 from __future__ import annotations

@@ -6,8 +6,8 @@ Where a command pulls one cable above 0 and another one below, v may be a polyno
 cable that falls slack puts a kink there. Weights are found by ridge regression; penalty: n · ridge · RIDGE[degree of
 the monomial] on all weights but the intercept, n frames. Basis and ridge are those with the lowest cross-validation
 error (`regression.py`).
-Known limit: one marker at the end of each chord, base to tip. tests/test_rod.py and tests/test_pulled_rod.py pin exact
-recovery.
+Known limit: one marker at the end of each chord, base to tip. tests/rod/test_rod.py and tests/rod/test_pulled_rod.py
+pin exact recovery.
 """
 
 from __future__ import annotations

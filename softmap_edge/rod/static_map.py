@@ -7,7 +7,7 @@ Their squared error is about that of the markers. With a described rod they are 
 `base` is that rod. The *held-out loss* of a fold is the sum of squares over its frames, predicted from the other folds.
 Folds stay contiguous because frames near each other are alike (`run/folds.py`). While laws are searched they are fitted
 with the map's `ridge`, which is almost zero; they are compared at the ridge of the lowest held-out loss.
-Source: variable projection, Golub and Pereyra 1973, doi:10.1137/0710036. Pinned by tests/test_learned_memory.py.
+Source: variable projection, Golub and Pereyra 1973, doi:10.1137/0710036. Pinned by tests/rod/test_learned_memory.py.
 """
 
 from __future__ import annotations

@@ -5,7 +5,7 @@
     dwell = time since the last motion, 0 while moving; history = largest |command| so far, this frame included
 
 Units: mm, s, degree Celsius. Known limit: a motion slower than 0.5 % of the span per second counts as standing still,
-and the start of a dwell is known to one sample. Pinned by tests/test_compare.py.
+and the start of a dwell is known to one sample. Pinned by tests/comparison/test_compare.py.
 """
 
 from __future__ import annotations

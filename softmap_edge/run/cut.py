@@ -3,7 +3,7 @@
 A piece keeps the frames of its span, and the rows from the last one before it (whose command still holds) to the first
 one after its last frame (commands are linear between rows). Prediction begins in equilibrium at the first row, so the
 memory of earlier commands is lost; `lead_s` keeps the rows of that many seconds before the first frame.
-Pinned by tests/test_run_parts.py.
+Pinned by tests/run/test_run_parts.py.
 """
 
 from __future__ import annotations

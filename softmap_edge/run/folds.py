@@ -5,7 +5,7 @@ one kind are often recorded one after the other, and a block of time then holds 
 be learned (on a real nine-tendon robot a polynomial looked ten times worse than it is). So where a run labels its
 frames (`block`) and has labels enough, whole labels are dealt out to the folds in turn, in the order they appear in.
 In the same way every fifth block of a run is withheld from a search, to confirm what it claims.
-Units: s. Pinned by tests/test_fit.py, tests/test_certificates.py.
+Units: s. Pinned by tests/diagnosis/test_fit.py, tests/diagnosis/test_certificates.py.
 """
 
 from __future__ import annotations

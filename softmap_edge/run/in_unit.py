@@ -1,7 +1,8 @@
 """Documents about outputs other than places: their figures in the output's own unit, for a report.
 
 A comparison or diagnosis counts in the model's mm; `made_from.output` holds the mm for one unit. Numbers of commands
-(`1.39 mm on servo 1`) keep their unit. In sentences only values in mm RMS are outputs. Pinned by tests/test_output.py.
+(`1.39 mm on servo 1`) keep their unit. In sentences only values in mm RMS are outputs. Pinned by
+tests/run/test_output.py.
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
 Pieces of one recording keep its clock, and a piece that begins where the one before it ends continues it: cutting a run
 and joining its pieces gives the run again. Any other run begins `gap_s` after the end of the one before. A prediction
 runs through such a gap, so the memory at its far side is that of a robot which waited there; commands that learn from
-several runs take them unjoined, and each begins in equilibrium. Pinned by tests/test_run_parts.py.
+several runs take them unjoined, and each begins in equilibrium. Pinned by tests/run/test_run_parts.py.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 Noise makes each frame of a camera different, so frames that follow one another and are equal in two runs are the same
 frames. Frames that repeat within their own run, as those of a simulation at rest, do not count. Pinned by
-tests/test_join_doubts.py.
+tests/run/test_join_doubts.py.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 A run of outputs has no geometry. Each output is carried as one marker on a straight line of markers, `mm_per_unit` mm
 along x for one unit of the output. So every function that takes markers works on it. Reports convert the figures back
-(`Output.value`). Pinned by tests/test_output.py.
+(`Output.value`). Pinned by tests/run/test_output.py.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 A run may declare it: its field `plane` keeps the axis of the base frame that is not measured ("x", "y" or "z"), and 0
 is that coordinate. A model's prediction for such a run has 0 there as well. So the error, and whatever an effect does
-across the plane, is 0, and no effect is found or excluded by it. Pinned by tests/test_plane.py.
+across the plane, is 0, and no effect is found or excluded by it. Pinned by tests/run/test_plane.py.
 
 A run that declares nothing may still lie in one plane to the last digit, in every frame (`plane_of`): a planar robot
 seen by one camera, whose third coordinate is a constant. Noise of a real third coordinate is far larger than `EXACT`.

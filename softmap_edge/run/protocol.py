@@ -5,8 +5,8 @@ diagonals, staircases with long dwells, fast triangles; each in two mounting ori
 weight of the body from a weight at the tip. The other run holds circles, spirals and smooth random moves.
 A `Tape` takes the moves, within the `Limits` of a robot; single blocks to choose from are in `experiment/blocks.py`.
 Units: s, mm of tendon shortening (or the robot's own unit), gravity in g in the base frame, load in g. Limit: straight
-moves at constant speed, without the ramps of a real servo; `tests/test_truth.py` pins the frame counts, speeds and
-coverage.
+moves at constant speed, without the ramps of a real servo; `tests/synthetic/test_truth.py` pins the frame counts,
+speeds and coverage.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Find commands and encoders that roll over: jumps of about one turn between rows that otherwise move slowly.
 
 A turn is 2^k counts, 360 degrees (also in tenths or hundredths) or 2π. A step that was commanded has the same size, but
-the motion does not go on across it. Pinned by tests/test_rollover.py.
+the motion does not go on across it. Pinned by tests/run/test_rollover.py.
 """
 
 from __future__ import annotations

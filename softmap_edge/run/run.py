@@ -5,7 +5,7 @@ one need not check again. T command rows, C channels, K frames seen, N vertices 
 are valid. The unit of `command` and `present` is mm of tendon unless `command_unit` names another (a robot
 without a spool radius).
 Known limit: a file in metres is recognised by its extent (< 1 mm in all), so a robot smaller than that is
-refused; tests/test_runs.py pins this and each message.
+refused; tests/run/test_runs.py pins this and each message.
 """
 
 from __future__ import annotations

@@ -10,7 +10,7 @@ recording, neighbours would vouch for one another: then the middles of contiguou
 left out. Closed form: with the smoother H, left out e_G = (1 − H_GG)⁻¹ r_G. Kernel and λ are chosen on the same rows,
 so the error is slightly low; rows at the border are left out by extrapolation, so they choose but do not count.
 Measured: fitted to the first 60 % of a recording of data/trunk (six motors), stated 5.5 mm, 6.1 on its last 30 %.
-Evaluation: rust/shape/scattered.rs. Pinned by tests/test_scattered.py.
+Evaluation: rust/shape/scattered.rs. Pinned by tests/sweep/test_scattered.py.
 """
 
 from __future__ import annotations

@@ -8,8 +8,9 @@ without twist, and a(s) the change of the logarithm of the modulus,
 
 moves the points as in `bending.py`. A body that is stiffer everywhere stays as it is. What gravity bends counts as bent
 by tendons. On the bank's tapered rod this explains 76 to 97 % of the squared shift hanging, 63 to 96 % at a lean
-(tests/test_stretches.py). A curvature at rest has no such field: tendons made for the bent body do not feel it, those
-made for the straight one take half of it away, and shapes do not say which they are; sides and twist are not in a line.
+(tests/sweep/test_stretches.py). A curvature at rest has no such field: tendons made for the bent body do not feel it,
+those made for the straight one take half of it away, and shapes do not say which they are; sides and twist are not in
+a line.
 """
 
 from __future__ import annotations

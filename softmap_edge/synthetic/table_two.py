@@ -9,7 +9,8 @@ calibration, as a rival's, the servos turn as told, by the map that they really 
 A figure lies about the tip at rest: a model's own while it is solved, the executed finger's own while it is judged, so
 that where a finger merely hangs otherwise does not count. The tip is the middle of the vertices that move most, on a
 rival's own points while it is solved. Errors are distances in mm in the plane of the figure, at the waypoints.
-The paper's figures are of another finger, simulator, letters and amplitude. Pinned by tests/test_table_two.py.
+The paper's figures are of another finger, simulator, letters and amplitude. Pinned by
+tests/synthetic/test_table_two.py.
 """
 
 from __future__ import annotations

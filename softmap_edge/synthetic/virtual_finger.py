@@ -9,7 +9,7 @@ remembers (`truth_laws.BoucWen`) and a mounting that leans by up to 20 degrees, 
 effects come on top as in `synthetic/finger.py`. **Never calls the effect library**, nor a model's prior or fields.
 The run holds what hardware gives: ticks told and read (`robot/emulated/published_map.py`, encoder noise of one tick),
 clouds, the declared gravity and camera noise; no command in mm and no vertex. Those go into the arrays of the truth,
-kept apart. Every frame is solved. Randomness only from the seeds. Pinned by tests/test_virtual.py.
+kept apart. Every frame is solved. Randomness only from the seeds. Pinned by tests/synthetic/test_virtual.py.
 """
 
 from __future__ import annotations

@@ -7,7 +7,8 @@ table      ours: radial basis functions with a linear tail on the modes, kernel 
 deepsoro   in the manner of DeepSoRo (Wang et al. 2020): a code of the command folds a grid of points, twice, onto the
            body; taught by the Chamfer distance, so its points are no vertices, and are compared as they come
 
-What the paper does not say of them (all of it but the names) stands in `choices.py`. Pinned by tests/test_baselines.py.
+What the paper does not say of them (all of it but the names) stands in `choices.py`. Pinned by
+tests/training/test_baselines.py.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """The Chamfer distance as a loss: the compiled core finds nearest points and slopes, torch only carries them on.
 
 CD(V, P) = mean over V of the distance to P + mean over P of the distance to V, not squared, in mm (as in the paper's
-tables). With `seen` a vertex that no camera saw asks for nothing. Pinned by tests/test_training.py.
+tables). With `seen` a vertex that no camera saw asks for nothing. Pinned by tests/training/test_training.py.
 """
 
 from __future__ import annotations

@@ -4,7 +4,8 @@
     on a recording        a decoder in the manner of DeepSoRo, taught by the clouds at the model's calibrated commands;
                           residuals on top of the model, also on growing parts of the recording, whole blocks of it
 
-Which blocks make a part is drawn by the seed, and each part holds the smaller ones. Pinned by tests/test_evaluate.py.
+Which blocks make a part is drawn by the seed, and each part holds the smaller ones. Pinned by
+tests/training/test_evaluate.py.
 """
 
 from __future__ import annotations

@@ -5,7 +5,7 @@
 Wang et al. 2020 (doi:10.1109/LRA.2020.2976320) take the code from a camera inside the robot; here it comes from the
 command, as in the paper's comparison. It is taught by the Chamfer distance to points of the body: all vertices of a
 simulated shape, or the cloud of a recording. Its own surface is the grid, folded. Widths and training are ours
-(`choices.py`). Units: mm. Pinned by tests/test_baselines.py.
+(`choices.py`). Units: mm. Pinned by tests/training/test_baselines.py.
 """
 
 from __future__ import annotations

@@ -7,7 +7,7 @@ arap        nine numbers R_i a vertex, the rotation that takes its edges at rest
             back: the v of least Σ w_ij |(v_i − v_j) − ½(R_i + R_j)(v⁰_i − v⁰_j)|² + w² |v_h − q_h|²
 
 Both are linear in what is predicted, so that they end a network as a fixed layer. Which vertices are held, the handles,
-and that R is predicted number by number, is not in the paper. Units: mm. Pinned by tests/test_baselines.py.
+and that R is predicted number by number, is not in the paper. Units: mm. Pinned by tests/training/test_baselines.py.
 """
 
 from __future__ import annotations

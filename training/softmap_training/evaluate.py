@@ -10,7 +10,7 @@ Every figure is a mean ± standard deviation over frames; of what is drawn by ch
 deviation of that mean from seed to seed beside it. Two views show 55 to 70 % of a body, so that the exact shape scores
 1.8 to 2.5 mm Chamfer on their clouds: `surface`, and where the truth is known `vertex`, tell shapes apart there. The
 points of a decoder are no vertices: it has neither `visible` nor, on a recording, `vertex`.
-The published figures are those of another finger, simulator and camera. Pinned by tests/test_evaluate.py.
+The published figures are those of another finger, simulator and camera. Pinned by tests/training/test_evaluate.py.
 """
 
 from __future__ import annotations

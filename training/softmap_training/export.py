@@ -1,7 +1,7 @@
 """Trained networks to ONNX: layers in a row, BatchNorm folded into the linear layer before it, dropout left out.
 
 The graph is written layer by layer, so that it is the same whatever the version of torch; opset and IR are those that
-onnxruntime and the compiled core read. Pinned by tests/test_training.py.
+onnxruntime and the compiled core read. Pinned by tests/training/test_training.py.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 A folder holds `checkpoint.pt` (weights only: tensors and numbers, nothing that runs), `log.csv`, and with
 `tensorboard=True` the events of TensorBoard. The same call goes on where it was stopped and ends with the same weights
-as without the stop; a call with other numbers or data is refused. Pinned by tests/test_training.py.
+as without the stop; a call with other numbers or data is refused. Pinned by tests/training/test_training.py.
 """
 
 from __future__ import annotations

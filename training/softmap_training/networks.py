@@ -3,7 +3,7 @@
 Published prior: 256-512-1024-512-256 with BatchNorm, ReLU and dropout, inputs and outputs normalised one by one.
 Ours: a few GELU layers to weights of the leading modes of the training shapes, one scale for all outputs, so that the
 loss is the error in mm. Residuals: as published (LayerNorm, GELU, dropout), or ours, to modes that leave the clamp
-alone. All have the same face. Pinned by tests/test_training.py.
+alone. All have the same face. Pinned by tests/training/test_training.py.
 """
 
 from __future__ import annotations

@@ -11,7 +11,7 @@ deepsoro    a decoder (`deepsoro.py`) as a bundle of its own points, which are n
 
 Errors are told on the test part of one frozen split, at commands that are not in the training part. The rest of the
 bundle (fields, tendons, effects) stays as it was; a residual goes, it was learned on another prior. Units: mm.
-Pinned by tests/test_training.py.
+Pinned by tests/training/test_training.py.
 """
 
 from __future__ import annotations

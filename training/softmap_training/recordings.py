@@ -1,7 +1,8 @@
 """Recordings that teach on top of a model, as one lesson: what the model makes of each frame, and what was seen.
 
 Clouds are brought into the frame of their base where it clearly stands off (`alignment/base_in_clouds.py`), and the
-template is laid onto them, run by run. Units: mm. Pinned by tests/test_evaluate.py and tests/test_residual_network.py.
+template is laid onto them, run by run. Units: mm. Pinned by tests/training/test_evaluate.py and
+tests/adaptation/test_residual_network.py.
 """
 
 from __future__ import annotations

@@ -9,7 +9,7 @@ taught by the registered vertices, each by how well it was seen, and by the Cham
 weighted by a small network of the command. Validation is on whole blocks of the recordings; ours leaves each out once,
 then learns from all for as long as was best on average. Friction remembers where a command was reached from: a command
 that is reached from several sides, in several recordings, teaches their mean.
-Pinned by tests/test_residual_network.py.
+Pinned by tests/adaptation/test_residual_network.py.
 """
 
 from __future__ import annotations

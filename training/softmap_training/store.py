@@ -7,7 +7,7 @@ S runs over the grid in C order, the last command fastest; a chunk is `chunk` ro
 A store is built beside its place and moved there, a chunk is done only once both of its files stand there, and each
 file replaces its old one whole (zarr's LocalStore), so that a kill at any time leaves a store that goes on. Stores are
 untrusted: formats before 3, whose codecs may run code, types other than the above and codecs that only compress are
-all that is read. Pinned by tests/test_zarr_sweep.py.
+all that is read. Pinned by tests/sweep/test_zarr_sweep.py.
 """
 
 from __future__ import annotations

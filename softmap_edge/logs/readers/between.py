@@ -1,6 +1,6 @@
 """Leave out lines between the rows of a text log: its head, which a logger writes again, and remarks.
 
-Pinned by tests/test_between.py.
+Pinned by tests/logs/test_between.py.
 """
 
 from __future__ import annotations

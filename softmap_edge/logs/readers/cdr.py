@@ -6,7 +6,7 @@ Sequences get the index in brackets, or a name where the message has one: a sibl
 same length (JointState), or the element's own `child_frame_id` or `…name` (TFMessage, rigid bodies). Times are
 seconds. Texts, bytes and sequences of more than 1024 elements are passed over. Nothing here trusts the bytes: a length
 is checked against what is left before it is used, types cannot nest without end, and every fault is a `CdrError`.
-Reference: OMG DDS-XTypes 1.3, 7.4.1 (plain CDR); the .msg grammar of ROS 2. Pinned by tests/test_import_mcap.py
+Reference: OMG DDS-XTypes 1.3, 7.4.1 (plain CDR); the .msg grammar of ROS 2. Pinned by tests/logs/test_import_mcap.py
 against another implementation.
 """
 

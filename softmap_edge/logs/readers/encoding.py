@@ -1,7 +1,7 @@
 """Find the encoding of a text log: UTF-8, UTF-16 and UTF-32, or Windows-1252 (latin-1) where it is clearly that.
 
 UTF-16 is recognised without a byte order mark as well: next to nearly each letter there is a zero byte, always on the
-same side. Pinned by tests/test_encoding.py and tests/test_wide_encoding.py.
+same side. Pinned by tests/logs/test_encoding.py and tests/logs/test_wide_encoding.py.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Look at the end of a text log: lines below the table, and a last line that was cut within its last cell.
 
 Many programs write no line end after the last row, so a missing one alone shows nothing. The last cell is doubtful if
-it is shorter than all cells of its column are. Pinned by tests/test_ending.py.
+it is shorter than all cells of its column are. Pinned by tests/logs/test_ending.py.
 """
 
 from __future__ import annotations

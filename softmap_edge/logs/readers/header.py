@@ -5,7 +5,8 @@ that are mostly numbers or times; its names are the last line of text above it t
 units below the names apart). Names over several columns (`tip` above `X, Y, Z`) go in front of those below them. A
 first line that looks like the rows below it is a row: text in it stands only where the rows have text.
 
-Only the first lines are searched (`LINES`, `CHARACTERS`), however long the file is. Pinned by tests/test_header.py.
+Only the first lines are searched (`LINES`, `CHARACTERS`), however long the file is. Pinned by
+tests/logs/test_header.py.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Runs a parser of a foreign format on a log of unknown origin, in a child process with limits of memory and time.
 
-A fault of the parser becomes one RunError. Pinned by tests/test_read_in_child.py.
+A fault of the parser becomes one RunError. Pinned by tests/logs/test_read_in_child.py.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Find the format of a log by its first bytes; for a format that is not read, name it and the remedy.
 
-The file name decides only if the bytes do not (.c3d, .trc, .mat of MATLAB 4). Pinned by tests/test_formats.py.
+The file name decides only if the bytes do not (.c3d, .trc, .mat of MATLAB 4). Pinned by tests/logs/test_formats.py.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Count the read and the lost parts of an MCAP file: chunks left out, bytes that are no records, messages.
 
-Pinned by tests/test_mcap_damage.py.
+Pinned by tests/files/test_mcap_damage.py.
 """
 
 from __future__ import annotations

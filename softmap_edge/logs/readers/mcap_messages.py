@@ -2,7 +2,7 @@
 
 A chunk whose checksum, size or compression fails is left out, and those after it are still read. A chunk without a
 checksum is left out where the checksum of all data fails. Pinned by
-tests/test_mcap_damage.py and tests/test_import_mcap.py.
+tests/files/test_mcap_damage.py and tests/logs/test_import_mcap.py.
 """
 
 from __future__ import annotations

@@ -5,7 +5,7 @@ it). It also finds a line of units, decimal commas, blank lines, empty cells at 
 (`time_text.py`). Each block of lines goes through numpy's compiled reader, with empty cells as NaN. If that fails, the
 lines are read one by one to find the fault. A million rows of 16 columns need seconds and little more memory than their
 numbers
-(tests/test_import_csv.py, `python -m benches.import_rows`).
+(tests/logs/test_import_csv.py, `python -m benches.import_rows`).
 """
 
 from __future__ import annotations

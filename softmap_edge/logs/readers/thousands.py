@@ -2,7 +2,7 @@
 
 A cell counts if it cannot mean anything else: it has a decimal mark of another kind as well, or several commas. A cell
 such as `25,039` alone may be a decimal comma. It counts only in a log in which another cell is clear. Pinned by
-tests/test_thousands.py.
+tests/logs/test_thousands.py.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 A row `frame` holds index, time (s), the rigid bodies and the markers of one frame, each list after its count:
 `frame,INDEX,TIME,BODIES[,id,x,y,z,qx,qy,qz,qw,yaw,pitch,roll …],MARKERS[,x,y,z,id,name …]`. A row lists only what was
-seen, so a marker that is missing from a row was not seen. Units are m. Pinned by tests/test_vendor_text.py.
+seen, so a marker that is missing from a row was not seen. Units are m. Pinned by tests/logs/test_vendor_text.py.
 """
 
 from __future__ import annotations

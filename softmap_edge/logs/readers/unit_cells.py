@@ -1,6 +1,6 @@
 """Refuse a text log whose cells hold a unit behind each number, such as `25.0 mm`, with the remedy.
 
-Pinned by tests/test_unit_cells.py.
+Pinned by tests/logs/test_unit_cells.py.
 """
 
 from __future__ import annotations

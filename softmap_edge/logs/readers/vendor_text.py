@@ -5,7 +5,7 @@
   (devices, forces) are skipped.
 - LVM: the head states separator and decimal sign; a file without X columns states `Delta_X` of its first channel.
 
-Pinned by tests/test_vendor_text.py.
+Pinned by tests/logs/test_vendor_text.py.
 """
 
 from __future__ import annotations

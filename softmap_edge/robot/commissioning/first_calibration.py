@@ -4,7 +4,7 @@ A servo's command is the tendon that its pulley winds, u_k = ±r (ticks − home
 measured is not claimed: no coupling is known, so that every other entry is 0 with a standard deviation of COUPLING of
 the servo's own; home was judged by eye, as far as homing lets it be off. `held_out` is what these deviations expect
 over the model's range, since no block was left out. A camera's calibration (`softmap calibrate`) replaces it.
-Pinned by tests/test_calibrate_bench.py.
+Pinned by tests/robot/test_calibrate_bench.py.
 """
 
 from __future__ import annotations

@@ -5,7 +5,7 @@
 
 Whatever is sent passes the guard: `travel` ticks from where a jog began, `slew`, `current`; it brakes when nobody
 holds, and torque goes off after the limit `hold`. What the bench allows (`[ceiling]` and each `[[servo]]`) binds a jog
-as it binds a drive, its ticks where home is proved. Pinned by tests/test_move.py.
+as it binds a drive, its ticks where home is proved. Pinned by tests/robot/test_move.py.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """A held key of a terminal as the deadman of moves of commissioning: holding begins with the first repetition.
 
 A key that was pressed once may have been let go at once, and nobody can know for 0.7 s (`terminal_keys.RepeatedKey`):
-nothing runs on so long after a tap. Pinned by tests/test_move.py and tests/test_emergency_key.py.
+nothing runs on so long after a tap. Pinned by tests/robot/test_move.py and tests/robot/test_emergency_key.py.
 """
 
 from __future__ import annotations

@@ -4,7 +4,7 @@ Each servo goes alone, the others at home, through the guard's commissioning sta
 in force, to the other, and home. Standing takes less current than turning does, so that the larger of both counts; the
 ceiling is MARGIN times that and IDLE of the stall current for motor and gears at speed. Torque off between two legs
 would let the finger spring back, so that it is one leg of at most FARTHEST_LEG ticks a side; a stroke a little longer
-is reached by a straight line, a stroke much longer is refused. Pinned by tests/test_pull.py.
+is reached by a straight line, a stroke much longer is refused. Pinned by tests/robot/test_pull.py.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Restart a servo that has shut itself down: torque off first, its errors before and after, home to be proved again.
 
 A restart clears hardware errors, but also the counted turns of a servo, its mark of home and all volatile registers.
-Pinned by tests/test_reboot.py.
+Pinned by tests/robot/test_reboot.py.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Enter a servo that was set up into its rig; it keeps its place if its id changes.
 
 A servo has no serial number. A servo that was set up before and answers at the rate of the rig is taken for the one
-listed under its old id. A servo with factory settings is another one. Pinned by tests/test_set_up.py.
+listed under its old id. A servo with factory settings is another one. Pinned by tests/robot/test_set_up.py.
 """
 
 from __future__ import annotations

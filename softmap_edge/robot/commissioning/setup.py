@@ -1,7 +1,7 @@
 """Set servos up on a bench: find them, read them, make them ready to be driven.
 
 What their registers must hold is one list (`robot/servo/known_state.py`), which each start reads again. Pinned by
-tests/test_servo_verbs.py and tests/test_set_up.py.
+tests/robot/test_servo_verbs.py and tests/robot/test_set_up.py.
 """
 
 from __future__ import annotations

@@ -10,7 +10,7 @@ Python sends commands, never ticks; the loop guards them (docs/safety.md) and ne
 stops calling `target` is held, then slackened; one that ends or is killed likewise. Should the loop's own process die
 or freeze, the servos stop by their watchdogs and a thread of this side switches their torque off, whatever the program
 does meanwhile. A servo that has not said that it has no torque at the end is an error.
-Pinned by tests/test_controller.py and tests/test_leaving.py.
+Pinned by tests/robot/test_controller.py and tests/robot/test_leaving.py.
 """
 
 from __future__ import annotations

@@ -5,7 +5,7 @@
         ...
 
 A thread looks for the key, so that it works while the program computes or waits. Where standard input is no terminal
-of ours there is no key, and nothing is said. Pinned by tests/test_emergency_key.py.
+of ours there is no key, and nothing is said. Pinned by tests/robot/test_emergency_key.py.
 """
 
 from __future__ import annotations

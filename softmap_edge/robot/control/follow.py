@@ -1,7 +1,7 @@
 """Follow a recording while a loop writes it: the periods that are new since one asked last.
 
 The compiled core reads it (`rust/control/recording.rs`); what is not yet whole is read when it is. A recording is
-somebody else's file: what is damaged ends it with a reason. Pinned by tests/test_live.py.
+somebody else's file: what is damaged ends it with a reason. Pinned by tests/robot/test_live.py.
 """
 
 from __future__ import annotations

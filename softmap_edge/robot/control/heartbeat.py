@@ -6,7 +6,7 @@
             time.sleep(0.02)
 
 Whoever stops beating has pressed it: the control loop switches torque off (docs/safety.md). Datagrams and sessions are
-those of `rust/control/heartbeat.rs`, which listens. Pinned by tests/test_emergency.py.
+those of `rust/control/heartbeat.rs`, which listens. Pinned by tests/robot/test_emergency.py.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 The compiled loop writes it (`rust/control/recording.rs`): plain MCAP, JSON a period, readable to the last message when
 it was cut short. A recording is somebody else's file: what is damaged ends it with a reason. Pinned by
-tests/test_recording.py.
+tests/robot/test_recording.py.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Find whether a recording of the loop was cut short, is damaged at one place, or is damaged at an unknown place.
 
 The file ends with a checksum of its data and the number of its messages. The compiled reader stops at a damaged
-record. Pinned by tests/test_recording.py and tests/test_recording_damage.py.
+record. Pinned by tests/robot/test_recording.py and tests/robot/test_recording_damage.py.
 """
 
 from __future__ import annotations

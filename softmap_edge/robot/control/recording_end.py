@@ -1,6 +1,6 @@
 """Detect a recording that ended before its loop, and report the cause and the last recorded time.
 
-Pinned by tests/test_record_cut.py and tests/test_recording_damage.py.
+Pinned by tests/robot/test_record_cut.py and tests/robot/test_recording_damage.py.
 """
 
 from __future__ import annotations

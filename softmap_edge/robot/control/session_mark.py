@@ -3,7 +3,7 @@
 A session writes the mark to the user's state folder when it begins, and removes it when it ends normally. The mark
 stays if the program is killed or the computer stops. The loop outlives a killed program and notes in the mark that it
 has released the servos. Emulated robots at pseudo-terminals have no next start and get no mark. A start never fails
-because of the mark: if the folder is not writable, there is none. Pinned by tests/test_session_mark.py.
+because of the mark: if the folder is not writable, there is none. Pinned by tests/robot/test_session_mark.py.
 """
 
 from __future__ import annotations

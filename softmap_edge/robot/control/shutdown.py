@@ -1,6 +1,6 @@
 """What a controller tells of a command and of servos that keep torque, and what a forked child lets go of.
 
-Pinned by tests/test_nobody_watches.py.
+Pinned by tests/robot/test_nobody_watches.py.
 """
 
 from __future__ import annotations

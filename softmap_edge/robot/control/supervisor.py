@@ -1,6 +1,6 @@
 """The process of a control loop, watched by a thread: its reports, and what follows when it dies or freezes.
 
-`controller.py` starts it. Pinned by tests/test_nobody_watches.py.
+`controller.py` starts it. Pinned by tests/robot/test_nobody_watches.py.
 """
 
 from __future__ import annotations

@@ -4,7 +4,7 @@
     print(examine())
 
 Nothing is sent to a servo unless a rig is given, and then only questions. `host.py` looks at the computer, `bench.py`
-at what belongs to one bench. Pinned by tests/test_doctor.py.
+at what belongs to one bench. Pinned by tests/robot/test_doctor.py.
 """
 
 from __future__ import annotations

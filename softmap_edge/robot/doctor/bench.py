@@ -1,6 +1,6 @@
 """What the doctor looks at of one bench: its bundle, its rig.toml, and what its servos say when they are asked.
 
-Servos are asked only: nothing is written to them. Pinned by tests/test_doctor.py.
+Servos are asked only: nothing is written to them. Pinned by tests/robot/test_doctor.py.
 """
 
 from __future__ import annotations

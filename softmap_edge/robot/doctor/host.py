@@ -1,7 +1,7 @@
 """What the doctor looks at of this computer: versions, processor, real-time rights, serial ports, cameras, MediaPipe.
 
 Each look returns lines and takes where it looks as an argument, so that a test can show it another computer. Pinned by
-tests/test_doctor.py.
+tests/robot/test_doctor.py.
 """
 
 from __future__ import annotations

@@ -7,8 +7,8 @@
 `t` s; `u0` … in the unit of the first line; gravity in g in the base frame; `load_g` g declared at the tip;
 `temperature_c` °C to be reached, where that is part of it (else empty); `look` 1 where a frame is wanted (a camera of
 its own rate may take more); `block` the part of the protocol; `note` what is to be done by hand from here on.
-Limit: frames are taken at rows, 0.02 s apart in what this tool writes. Pinned by tests/test_experiment.py and
-tests/test_mutated_files.py.
+Limit: frames are taken at rows, 0.02 s apart in what this tool writes. Pinned by tests/experiment/test_experiment.py
+and tests/model/test_mutated_files.py.
 """
 
 from __future__ import annotations

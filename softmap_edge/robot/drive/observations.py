@@ -3,7 +3,7 @@
 A JSON document a line (softmap.seen/2): whose robot it is, how a command file's clock went, when each frame came, the
 frames that were taken, and the CRC-32 of all that. Files of softmap.seen/1 carry no CRC. Lines are only added, by a
 thread of its own, and are on the disk every half a second. With what the loop recorded meanwhile it becomes a run
-(`recorded.py`). Pinned by tests/test_record_cut.py and tests/test_recorded.py.
+(`recorded.py`). Pinned by tests/robot/test_record_cut.py and tests/robot/test_recorded.py.
 """
 
 from __future__ import annotations

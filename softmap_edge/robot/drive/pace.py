@@ -6,7 +6,7 @@ stretch of rows with one command, of `LEAST` s and more: the file's clock stands
 settled. A *stop* is a row from which on something is to be done by hand (a note, another gravity or load).
 Settled is, over `SPAN` s: no servo moves by more than `TICKS` ticks, and what is seen moves by no more than `STILL` mm
 (RMS over its points) beyond what its own scatter explains. After `PATIENCE` s it goes on all the same: a body that
-creeps is never still. Pinned by tests/test_record_robot.py.
+creeps is never still. Pinned by tests/robot/test_record_robot.py.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """What a control loop recorded and what a camera saw meanwhile, as one run.
 
 `softmap track S --sim --record s.mcap` leaves `s.mcap` and beside it `s.seen` (`kept.py`); whoever opens the first as a
-run gets both. Pinned by tests/test_recorded.py and tests/test_record_robot.py.
+run gets both. Pinned by tests/robot/test_recorded.py and tests/robot/test_record_robot.py.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 Each servo as a pure delay and a lag behind it (the library's own `latency` and `lag`), by least squares on a grid
 that is refined once; what counts is the shape of the motion, so that a constant miss is left out. Pinned by
-tests/test_track.py.
+tests/robot/test_track.py.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 Horns wind tendons by the robot's own map; what hides between is one of the truth's laws (`robot/emulated/laws.py`,
 never the effect library); the shape is the model's without its effects. Frames come with a clock of their own, some of
-it off. A stand-in for hardware, never called real. Pinned by tests/test_emulated_finger.py.
+it off. A stand-in for hardware, never called real. Pinned by tests/robot/test_emulated_finger.py.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Hidden laws that are asked for by name and as strong as they are: a fault, and what the library has no effect for.
 
-As those of `robot/emulated/laws.py`, in another form than the effect library. Pinned by tests/test_own_effect_page.py
-and tests/test_truth.py.
+As those of `robot/emulated/laws.py`, in another form than the effect library. Pinned by
+tests/commands/test_own_effect_page.py and tests/synthetic/test_truth.py.
 """
 
 from __future__ import annotations

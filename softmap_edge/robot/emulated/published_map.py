@@ -3,7 +3,7 @@
 Ma et al., SOFTMAP, fit A and b between real and simulated shapes; the numbers of `PUBLISHED` are those that the authors
 released with their browser demonstration, the window of ±7000 ticks around home too (neither stands in the paper). Two
 servos, one for each pair of tendons; b is not zero, so that home is not command 0. The truth's own law, written apart
-from `model/servo_calibration.py`, which has to find it. Pinned by tests/test_virtual.py.
+from `model/servo_calibration.py`, which has to find it. Pinned by tests/synthetic/test_virtual.py.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """The truth's laws sample by sample: for an emulated finger that moves while it is watched.
 
-A record and a stream of the same law agree (tests/test_emulated_finger.py). As in `robot/emulated/laws.py` each law
-begins in equilibrium with its first sample, and the effect library is never called.
+A record and a stream of the same law agree (tests/robot/test_emulated_finger.py). As in `robot/emulated/laws.py` each
+law begins in equilibrium with its first sample, and the effect library is never called.
 """
 
 from __future__ import annotations

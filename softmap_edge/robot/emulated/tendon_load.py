@@ -5,7 +5,7 @@
 T_i (N) are the tensions that a simulated bundle keeps, S_ic is +1 for the tendon that command c shortens and -1 for
 the one that it lengthens, A mm a tick, k the servo's torque a current, as its stall figures have it (without gear
 losses). The other commands stand at home. Bundles that know no tensions take a stated nominal stiffness. For emulated
-servos; a real ceiling is measured. Pinned by tests/test_emulated_finger.py.
+servos; a real ceiling is measured. Pinned by tests/robot/test_emulated_finger.py.
 """
 
 from __future__ import annotations

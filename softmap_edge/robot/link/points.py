@@ -5,7 +5,7 @@
 
 A datagram, little-endian: mark `SMP1`, N (u16), 0 (u16), session (16 bytes), sequence number (u64), stamp (f64 s, the
 camera's clock), 3 N coordinates (f32 mm), and HMAC-SHA256 of all that where both sides have a key. It is sent and
-listened for in sessions (`signed_udp`), within which stamps rise. Pinned by tests/test_camera_points.py.
+listened for in sessions (`signed_udp`), within which stamps rise. Pinned by tests/robot/test_camera_points.py.
 """
 
 from __future__ import annotations

@@ -7,7 +7,7 @@ sequence numbers must rise within it. So a recorded datagram counts nowhere agai
 anew, and no clocks need agree. While a sender is alive no other takes its place. What does not count is counted by why,
 and nothing of it is answered. The first datagrams of a sender only ask for the session.
 Without a key (programs of one computer) all is the same, unsigned. `rust/control/heartbeat.rs` is another listener.
-Pinned by tests/test_landmarks_udp.py, tests/test_camera_points.py and tests/test_emergency.py.
+Pinned by tests/robot/test_landmarks_udp.py, tests/robot/test_camera_points.py and tests/robot/test_emergency.py.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Figures that a tip can be led along: letters, circle, figure of eight, and polylines from CSV or SVG.
 
 A figure is a polyline (n, 2) in a plane, x to the right, y up, its middle at the origin, its larger half side 1;
-corners are corners. The letters' strokes are ours, drawn without lifting. Pinned by tests/test_curves.py.
+corners are corners. The letters' strokes are ours, drawn without lifting. Pinned by tests/robot/test_curves.py.
 """
 
 from __future__ import annotations

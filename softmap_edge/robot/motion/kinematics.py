@@ -6,7 +6,7 @@
 
 Targets are in the base frame; sensing effects never enter. What acts stays within the model's range, commands within
 that and the tick window of its calibration. A delay and a lag are previewed along the path, all other effects of the
-chain are inverted sample by sample (`rust/inverse/`). Pinned by tests/test_kinematics.py.
+chain are inverted sample by sample (`rust/inverse/`). Pinned by tests/model/test_kinematics.py.
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
 The path's parameter s runs from 0 to 1; with x = ṡ² a servo at q(s) ticks moves at q'·√x and is accelerated by q''·x
 + q'·s̈. Half of the acceleration is kept for each term, so that no limit is ever passed; a forward and a backward
 sweep over s give the quickest such profile (as Bobrow, Dubowsky & Gibson 1985, coarser), which is then slowed evenly
-to the duration that was asked for. Pinned by tests/test_timing.py.
+to the duration that was asked for. Pinned by tests/robot/test_timing.py.
 """
 
 from __future__ import annotations

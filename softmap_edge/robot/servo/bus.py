@@ -1,6 +1,6 @@
 """A bus of servos, opened, asked and released from Python: while no loop drives, and when one has died.
 
-Pinned by tests/test_servo_verbs.py and tests/test_nobody_watches.py.
+Pinned by tests/robot/test_servo_verbs.py and tests/robot/test_nobody_watches.py.
 """
 
 from __future__ import annotations

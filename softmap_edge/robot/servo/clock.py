@@ -3,7 +3,7 @@
 The driving program waits by the clock of the rig (`Rig.time`). *Paced* time follows real time, for a person who drives
 a simulated robot. Delays of the computer are left out: the robot stops and then goes on. In *stepped* time the loop,
 the servos and the finger advance in the steps of the program, as fast as the computer can. The same program then gives
-the same result under any load. Pinned by tests/test_simulated_time.py.
+the same result under any load. Pinned by tests/robot/test_simulated_time.py.
 """
 
 from __future__ import annotations

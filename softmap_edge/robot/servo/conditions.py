@@ -1,7 +1,8 @@
 """What a servo senses that keeps the guard from starting: temperature, supply voltage, a place outside its window.
 
 The doctor, `softmap servo read` and a request that the guard denies word it here, so that they agree: the value, the
-limit, the remedy. Limits are those of the guard (`rust/servo/guard/servo.rs`). Pinned by tests/test_conditions.py.
+limit, the remedy. Limits are those of the guard (`rust/servo/guard/servo.rs`). Pinned by
+tests/robot/test_conditions.py.
 """
 
 from __future__ import annotations

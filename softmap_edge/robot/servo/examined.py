@@ -1,7 +1,7 @@
 """Examine the servos of a rig one by one: identity, faults that block a start, and registers that a start rewrites.
 
 Homing, the doctor and each start (`loop.py`) use this module, so their findings agree. Pinned by
-tests/test_known_state.py and tests/test_presence.py.
+tests/robot/test_known_state.py and tests/robot/test_presence.py.
 """
 
 from __future__ import annotations

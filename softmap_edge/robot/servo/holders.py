@@ -1,7 +1,7 @@
 """Find other programs that have a serial port open: without a lock, two programs take each other's answers.
 
 Linux lists the open files of the processes that this user may inspect (/proc/PID/fd). The program that emulates servos
-has the other end of its pseudo-terminal open and does not count. Pinned by tests/test_holders.py.
+has the other end of its pseudo-terminal open and does not count. Pinned by tests/robot/test_holders.py.
 """
 
 from __future__ import annotations

@@ -5,7 +5,7 @@ leaves a mark in memory that power-up and reboot clear and that nothing here use
 addresses (registers 168 to 183, RAM on every X-series servo; while indirect data are not read they do nothing). It is
 made of id and home, so that the mark of another servo or of another home counts for nothing. Its values are addresses
 that may be mapped on every model (120 to 135, four bits each). A servo that restores its RAM at power-up (startup
-configuration, register 60) is refused: its mark would prove nothing. Pinned by tests/test_home.py.
+configuration, register 60) is refused: its mark would prove nothing. Pinned by tests/robot/test_home.py.
 """
 
 from __future__ import annotations

@@ -5,7 +5,7 @@ program may have changed them. A start rewrites volatile registers (profile, gai
 Sources: the X-series control tables and their known traps. Turns are counted in modes 4 and 5 only. On old firmware a
 homing offset makes a watchdog dangerous in these modes. A return delay costs bus time. A reversed drive mode inverts
 goal and position alike, so that no other check detects it. The default gains of a mode depend on the firmware: set-up
-lets the servo choose them again, and the rig keeps them (`[made.set_up]`). Pinned by tests/test_known_state.py.
+lets the servo choose them again, and the rig keeps them (`[made.set_up]`). Pinned by tests/robot/test_known_state.py.
 """
 
 from __future__ import annotations

@@ -7,7 +7,7 @@ servos do together. So they are first what each servo may do alone, then shrunk 
 A tension becomes a current by the horn's radius and the stall torque of the servo's manual, and IDLE of the stall
 current on top for motor and gears: a bound on what pulls the tendon, not a measurement (a pull test is one). A servo
 that caps no current has its PWM capped by as much, which slows it down in proportion.
-Pinned by tests/test_limits.py.
+Pinned by tests/robot/test_limits.py.
 """
 
 from __future__ import annotations

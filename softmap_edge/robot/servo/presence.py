@@ -1,6 +1,6 @@
 """Find the servos on a bus, and why one does not answer: another baud rate or id, a shared id, pings only.
 
-Nothing is written to the bus. Pinned by tests/test_presence.py.
+Nothing is written to the bus. Pinned by tests/robot/test_presence.py.
 """
 
 from __future__ import annotations

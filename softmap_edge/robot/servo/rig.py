@@ -1,6 +1,6 @@
 """One bench: where its servos are and where home is, kept on the machine that drives them (`rig.toml`).
 
-A bundle is somebody else's file; what belongs to a bench never travels with it. Pinned by tests/test_rig_file.py.
+A bundle is somebody else's file; what belongs to a bench never travels with it. Pinned by tests/robot/test_rig_file.py.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """What a bench allows all of its servos at most: `[ceiling]` of its `rig.toml`; a servo's own stands behind its id.
 
 It stands in place of softmap's own cautious defaults; a bundle's `safety.toml` can only tighten it (`combined.py`).
-Pinned by tests/test_limits.py.
+Pinned by tests/robot/test_limits.py.
 """
 
 from __future__ import annotations

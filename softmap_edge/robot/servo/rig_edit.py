@@ -2,7 +2,7 @@
 
 Each table is a part of lines behind its header; a key is changed in its line, and what stands behind it as a comment
 stays. The outcome is read again and must say what it should; a file in which that does not come about (tables in one
-line, values over several) is written anew in our form, without its comments. Pinned by tests/test_rig_file.py.
+line, values over several) is written anew in our form, without its comments. Pinned by tests/robot/test_rig_file.py.
 """
 
 from __future__ import annotations

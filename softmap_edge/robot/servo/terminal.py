@@ -2,8 +2,8 @@
 
 A terminal tells no key-up. It repeats a held key: the first time after `FIRST` s at most, then each `REPEAT` s at
 most. So a key that was pressed once may be held or not, and only its first repetition tells: what must not run on
-after a tap (`robot/commissioning/keys.py`) begins with that. Pinned by tests/test_clutch.py, tests/test_move.py and
-tests/test_emergency_key.py.
+after a tap (`robot/commissioning/keys.py`) begins with that. Pinned by tests/robot/test_clutch.py,
+tests/robot/test_move.py and tests/robot/test_emergency_key.py.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Whether limits are those of a bench: about the homes that are proved, and none above its ceiling.
 
-Pinned by tests/test_bench_limits.py.
+Pinned by tests/robot/test_bench_limits.py.
 """
 
 from __future__ import annotations

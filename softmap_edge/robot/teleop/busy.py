@@ -1,6 +1,6 @@
 """Detect that the computer is too busy for a simulated robot: the robot stops meanwhile, which is reported.
 
-Real servos do not wait, so this does not apply to them. Pinned by tests/test_simulated_time.py.
+Real servos do not wait, so this does not apply to them. Pinned by tests/robot/test_simulated_time.py.
 """
 
 from __future__ import annotations

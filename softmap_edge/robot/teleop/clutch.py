@@ -4,7 +4,7 @@
 
 A press waits up to PATIENCE for all that driving needs; whatever goes while it lasts ends it, and the key must be let
 go and pressed anew. What moves is relative: the hand's pose at the press stands for where the finger is (u = 0 after
-slackening, the paper's), so that nothing jumps. Pinned by tests/test_clutch.py.
+slackening, the paper's), so that nothing jumps. Pinned by tests/robot/test_clutch.py.
 """
 
 from __future__ import annotations

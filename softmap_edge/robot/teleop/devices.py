@@ -1,7 +1,7 @@
 """The cameras of this computer, by number, by lasting name, and by path (`/dev/videoN` and what links to one).
 
 Numbers can change when a camera is plugged in again; the names under `v4l/by-id` and `v4l/by-path` stay. Pinned by
-tests/test_frames.py.
+tests/robot/test_frames.py.
 """
 
 from __future__ import annotations

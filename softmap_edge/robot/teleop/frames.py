@@ -1,7 +1,8 @@
 """Pictures of a camera, newest first, or of a video file at its own rate (`[teleop]` extra).
 
 A camera is read by a thread of its own into one slot, since its driver keeps pictures in a queue: whoever asks gets
-the newest, never an old one. Times are those of the steady clock (`time.monotonic`). Pinned by tests/test_frames.py.
+the newest, never an old one. Times are those of the steady clock (`time.monotonic`). Pinned by
+tests/robot/test_frames.py.
 """
 
 from __future__ import annotations

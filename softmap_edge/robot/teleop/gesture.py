@@ -3,7 +3,7 @@
 `openness` is the mean c_f (hand.py) of middle, ring and little finger, which the driving index finger leaves alone:
 0.65 to 1 for an open palm, about 0 or below for a fist. Between CLOSED and OPEN whatever was there before stays, so
 that a hand near one threshold does not flicker. A palm that leans towards the camera looks shorter everywhere, which
-the scale takes out; fingers that point at the camera look folded, which lets go. Pinned by tests/test_gesture.py.
+the scale takes out; fingers that point at the camera look folded, which lets go. Pinned by tests/robot/test_gesture.py.
 """
 
 from __future__ import annotations

@@ -7,7 +7,7 @@ The hand frame of the SoftMap paper ("Human Motion Capture"): wrist (landmark 0)
 knuckle (9), all in the plane of the picture; c_f is 0.8 to 1 for a straight finger and about 0 for a curled one.
 Where we differ: landmarks are taken to pixels of the picture's true aspect first (normalised per axis they are off by
 up to 0.15 in c), y points up in the formula, so that r is to the right of f as one sees it, and where the paper adds
-ε to s a hand too small to have a direction is no hand. Pinned by tests/test_hand.py.
+ε to s a hand too small to have a direction is no hand. Pinned by tests/robot/test_hand.py.
 """
 
 from __future__ import annotations

@@ -1,7 +1,8 @@
 """The deadman's key that is heard of again and again, what an operator does, and who of several asks for what.
 
 What is heard of less often than every LAPSE counts as let go, and must then be let go and pressed anew: a page or a
-computer that comes back after a silence with its key down does not go on by itself. Pinned by tests/test_clutch.py.
+computer that comes back after a silence with its key down does not go on by itself. Pinned by
+tests/robot/test_clutch.py.
 """
 
 from __future__ import annotations

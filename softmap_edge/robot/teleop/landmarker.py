@@ -2,7 +2,7 @@
 
 mediapipe's own library is loaded when a task is made, not when it is imported, and on a processor that it was not
 compiled for it aborts the whole process. So the first task of a process is made in a child, whose death is an error
-here; on ARM the processor is asked before that. Pinned by tests/test_landmarker.py.
+here; on ARM the processor is asked before that. Pinned by tests/robot/test_landmarker.py.
 """
 
 from __future__ import annotations

@@ -5,7 +5,7 @@ is held), session (16 bytes), sequence number, the sender's clock (s), score, 21
 of all that under a shared key. Whoever has no key can neither write nor change one; they are not secret.
 
 It is sent and listened for in sessions (`signed_udp`). `age` of what is newest counts from its arrival, and adds by how
-much later it arrived than the quickest did: what stood in a queue is old. Pinned by tests/test_landmarks_udp.py.
+much later it arrived than the quickest did: what stood in a queue is old. Pinned by tests/robot/test_landmarks_udp.py.
 """
 
 from __future__ import annotations

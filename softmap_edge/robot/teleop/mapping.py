@@ -1,7 +1,7 @@
 """Where a hand or knob leads: a point of a plane, which is the two commands themselves or the tip's place aside.
 
 The paper's direct map takes the commands (u_lat, u_vert) for that plane; `Tip` takes the tip's (x, y) from where it is
-at u = 0 and finds the commands by inverse kinematics, for any number of tendons. Pinned by tests/test_aim.py.
+at u = 0 and finds the commands by inverse kinematics, for any number of tendons. Pinned by tests/robot/test_aim.py.
 """
 
 from __future__ import annotations

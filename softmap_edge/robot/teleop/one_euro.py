@@ -4,7 +4,7 @@
 
 G. Casiez, N. Roussel, D. Vogel, "1€ Filter", CHI 2012, component by component. The speed is low-passed at SPEED_CUTOFF
 itself. After a gap it starts anew from what is seen, and so it does where the clock went back by more than one; a
-sample that is late by less changes nothing. Pinned by tests/test_one_euro.py.
+sample that is late by less changes nothing. Pinned by tests/robot/test_one_euro.py.
 """
 
 from __future__ import annotations

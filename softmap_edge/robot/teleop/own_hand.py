@@ -3,7 +3,7 @@
 A picture shows the same hand if palm, size and direction have changed no more than a hand can in the time since it was
 last seen (time in which another hand is in view does not count). MediaPipe sometimes takes a left hand for a right one
 for a picture or two, so a changed side alone counts only if it lasts. Any other hand counts as no hand. The hand may
-come back if it was not gone for longer than `eyes.SEEN`. Pinned by tests/test_own_hand.py.
+come back if it was not gone for longer than `eyes.SEEN`. Pinned by tests/robot/test_own_hand.py.
 """
 
 from __future__ import annotations

@@ -6,7 +6,7 @@ asked of every connection. Host must be an address or localhost (a name that was
 is refused) and Origin this very page. One page drives at a time, others watch; its key lapses by `keys.HeldKey`.
 Nothing is queued: a page is sent the newest state when it has taken the last. By the numbers of states that come back
 it is known how old a word of the page may be at most (`_Link`), however evenly the network delays it; one that may be
-older than LATE holds no key. Pinned by tests/test_teleop_page.py.
+older than LATE holds no key. Pinned by tests/robot/test_teleop_page.py.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
 """What a page is told: who and what drives, what the guard does, the hand, the finger. Pinned by
-tests/test_teleop_page.py."""
+tests/robot/test_teleop_page.py."""
 
 from __future__ import annotations
 

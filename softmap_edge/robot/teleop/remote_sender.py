@@ -1,6 +1,6 @@
 """The other computer's side of `--camera udp://`: sends the landmarks that it sees, and whether its key is held.
 
-Pinned by tests/test_teleop_verb.py.
+Pinned by tests/robot/test_teleop_verb.py.
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
 mediapipe asks for opencv-contrib-python, this package for opencv-python-headless, and both own the folder `cv2/`: pip
 installs the one over the other, and uninstalling either deletes it. Nothing here imports either of them. What is absent
 is a warning, for a robot may be driven without a hand before its own camera; what clashes or is damaged is a fault.
-Pinned by tests/test_teleop_installed.py.
+Pinned by tests/robot/test_teleop_installed.py.
 """
 
 from __future__ import annotations

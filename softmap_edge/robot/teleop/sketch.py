@@ -1,4 +1,7 @@
-"""The finger as the model predicts it from where the servos are, for a page to draw. Pinned by tests/test_aim.py."""
+"""The finger as the model predicts it from where the servos are, for a page to draw.
+
+Pinned by tests/robot/test_aim.py.
+"""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """The terminal's keys: Space or an arrow held drives, Esc slackens, e stops at once, q ends.
 
 A terminal tells no key-up: a key counts as held while it repeats (`terminal_keys`), so letting go is noticed 0.2 s
-later, after a short tap 0.7 s. Pinned by tests/test_teleop_terminal.py.
+later, after a short tap 0.7 s. Pinned by tests/robot/test_teleop_terminal.py.
 """
 
 from __future__ import annotations

@@ -1,0 +1,185 @@
+"""The page of a report: it is whole, loads nothing, trusts nobody, and its pictures show what they should."""
+
+import copy
+import html
+import os
+import re
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from leaning_triangle import record
+from report_documents import DIAGNOSIS, compared, page
+
+from softmap_edge.comparison.comparison import compare
+from softmap_edge.comparison.series import series
+from softmap_edge.errors import ReportError
+from softmap_edge.report.html import write_html
+
+pair = pytest.fixture(scope="module")(compared)
+
+
+def test_page_holds_pictures_and_loads_nothing(pair, tmp_path):
+    run, worse, better, before, after = pair
+    text = page(write_html(tmp_path / "page.html", [before, after], DIAGNOSIS, series(run, worse, better)))
+    assert text.count("data:image/") == 7  # loop, sheet, where, ladder, time, body, tip
+    outside = re.sub(r'src="data:image/[^"]*"', "", text)
+    assert not re.search(r"https?://|<script|<link|<iframe|url\(|@import|\bon\w+=", outside)
+    assert "default-src 'none'" in outside
+    assert "held out" in outside and "3.46 mm" in outside and "0.621 ± 0.013 mm" in outside
+    assert str(tmp_path) not in text
+
+
+def test_the_page_says_once_where_its_error_was_measured_and_shows_no_empty_column(pair, tmp_path):
+    run, worse, _, before, _ = pair
+    text = page(write_html(tmp_path / "page.html", before, DIAGNOSIS, series(run, worse, kind="measured")))
+    assert text.count("whether this run took part in a fit") == 1
+    assert "1.82 / –" not in text and "fitted / held out" not in text
+    judged = copy.deepcopy(DIAGNOSIS)
+    judged["effects"][0]["displacement_mm"]["held_out"] = 1.5
+    text = page(write_html(tmp_path / "page.html", before, judged, series(run, worse, kind="measured")))
+    assert "1.82 / 1.50" in text
+
+
+def test_a_floor_that_is_known_stands_for_the_noise(pair, tmp_path):
+    run, worse, better, before, after = pair
+    floor = 0.5 * after.error["rms_mm"]
+    given = series(run, worse, better)
+    text = page(write_html(tmp_path / "page.html", [before, after], None, given, (floor, "the twin")))
+    old, new = before.error["rms_mm"], after.error["rms_mm"]
+    assert f"<b>{100 * (old - new) / (old - floor):.0f} %</b>" in text and "<i>the twin</i>" in text
+
+
+def test_a_floor_that_is_an_upper_bound_is_called_one(pair, tmp_path):
+    from softmap_edge.report.figures import over_time
+
+    run, worse, _, before, _ = pair
+    t = np.arange(0, 30.0, 0.02)
+    moving = record(t, np.column_stack([10 * np.sin(t), 8 * np.cos(0.7 * t)]), np.arange(0, 29, 0.1), noise=0.05)
+    bare = replace(worse, triangles=np.zeros((0, 3), int))
+    for model, on, bound in ((worse, run, False), (bare, moving, True)):
+        found, seen = compare(model, on), series(on, model)
+        text = page(write_html(tmp_path / f"{bound}.html", found, None, seen))
+        assert ("the camera&#x27;s noise is at most " in text) == (b"camera noise: at most" in over_time(seen)) == bound
+        assert f"<i>noise, RMS; {html.escape(found.floor_kind)}</i>" in text
+        assert ("upper bound" in text) == bound
+
+
+def test_no_label_of_a_condition_is_cut_off(monkeypatch):
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+    from softmap_edge.report import figures
+
+    drawn = []
+    monkeypatch.setattr(figures, "svg", lambda figure: drawn.append(figure) or b"")
+    labels = ("gravity +0.52 +0.24 +0.82", "gravity −0.52 −0.24 −0.82", "u1 −12.5 … −8.75 deg")
+    rows = [{"label": label, "low": None, "high": None, "n": 5, "rms_mm": 1.0} for label in labels]
+    figures.where_maps({"orientation": rows, "command": rows, "time": rows, "section": rows}, None)
+    canvas = FigureCanvasAgg(drawn[0])
+    canvas.draw()
+    panels = drawn[0].axes
+    for k, axes in enumerate(panels):
+        shown = axes.get_yticklabels()
+        assert [label.get_text() for label in shown] == list(labels)
+        boxes = [label.get_window_extent(canvas.get_renderer()) for label in shown]
+        assert min(box.x0 for box in boxes) >= 0
+        for other in panels[:k]:  # nor runs into the bars of the panel to its left
+            if abs(other.get_position().y0 - axes.get_position().y0) < 0.01:
+                right = other.get_window_extent(canvas.get_renderer()).x1
+                assert right <= axes.get_window_extent().x0 and min(box.x0 for box in boxes) >= right
+
+
+def test_same_input_gives_the_same_page(pair, tmp_path):
+    run, worse, _, before, _ = pair
+    first = write_html(tmp_path / "a.html", before, None, series(run, worse))
+    second = write_html(tmp_path / "b.html", before, None, series(run, worse))
+    assert first.read_bytes() == second.read_bytes()
+
+
+def test_a_fitted_run_is_called_fitted(pair, tmp_path):
+    run, worse, _, before, _ = pair
+    assert "fitted: this run took part" in page(
+        write_html(tmp_path / "p.html", before, series=series(run, worse, kind="fitted"))
+    )
+
+
+def test_markers_have_a_page_too(pair, tmp_path):
+    run, worse, better, _, _ = pair
+    bare = np.zeros((0, 3), int)
+    one, two = replace(worse, triangles=bare), replace(better, triangles=bare)
+    text = page(write_html(tmp_path / "m.html", [compare(one, run), compare(two, run)], None, series(run, one, two)))
+    assert text.count("data:image/png") == 2  # sheet and body
+
+
+def test_hostile_names_stay_text(pair, tmp_path):
+    run, worse, _, _, _ = pair
+    evil = '<script>alert("x")</script>\ud800 $\\frac{1}{0}$ \x00 机器人'
+    named = replace(worse, robot=evil)
+    document = copy.deepcopy(DIAGNOSIS)
+    document["sentence"] = document["effects"][0]["name"] = document["error"]["ladder"][0]["added"] = evil
+    document["where"]["before"]["speed"][0]["label"] = evil
+    document["alternatives"][0]["why"] = document["error"]["kind"] = document["made_from"]["seed"] = evil
+    text = page(write_html(tmp_path / "evil.html", compare(named, run), document, series(run, named)))
+    assert "<script" not in text and "&lt;script&gt;" in text
+    text = page(write_html(tmp_path / "diagnosis.html", None, document))
+    assert "<script" not in text
+
+
+def test_what_a_page_needs(pair, tmp_path):
+    before = pair[3]
+    with pytest.raises(ReportError, match="nothing to show"):
+        write_html(tmp_path / "p.html")
+    with pytest.raises(ReportError, match="3 comparisons"):
+        write_html(tmp_path / "p.html", [before] * 3)
+
+
+def test_without_matplotlib_text_works_and_html_says_what_to_install(tmp_path):
+    code = (
+        "import sys; sys.modules['matplotlib'] = None\n"
+        "from leaning_triangle import lean, triangle\n"
+        "from softmap_edge.comparison.comparison import compare\n"
+        "from softmap_edge.report.html import write_html\n"
+        "found = compare(lean(), triangle()); str(found); found.to_dict()\n"
+        f"write_html({str(tmp_path / 'p.html')!r}, found)\n"
+    )
+    here = Path(__file__).parents[1] / "support"
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(here), str(here.parents[1])])}
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environment)
+    assert done.returncode == 1
+    assert "pip install 'softmap-edge[report]'" in done.stderr.strip().splitlines()[-1]
+    assert not (tmp_path / "p.html").exists()
+
+
+@pytest.mark.parametrize("channels", [0, 1, 2, 3])
+def test_sheet_draws_poses_and_commands(pair, channels):
+    """Poses carry their own errors; the plane is that of the commands that move most, a line or none with fewer."""
+    from softmap_edge.report.sheet import _plane_of, sheet
+
+    run, worse, better, *_ = pair
+    found = series(run, worse, better)
+    assert 1 < len(found.poses) <= 5 and found.command.shape[0] == len(run.t_seen)
+    for pose in found.poses:
+        assert np.sqrt(np.mean(pose.before**2)) == pytest.approx(found.before[pose.frame])
+        assert np.sqrt(np.mean(pose.after**2)) == pytest.approx(found.after[pose.frame])
+    size = np.array([1.0, 0.001, 3.0])[:channels]
+    drawn = replace(found, command=size * np.random.default_rng(0).normal(size=(len(run.t_seen), channels)))
+    assert _plane_of(drawn.command) == {0: None, 1: (0, 0), 2: (0, 0), 3: (0, 2)}[channels]
+    picture = sheet(drawn)
+    assert picture.startswith(b"\x89PNG") and picture == sheet(drawn)
+    assert picture != sheet(replace(drawn, before=drawn.before * 1.5))
+
+
+def test_of_a_long_run_the_stretch_where_the_model_is_worst_is_drawn():
+    from softmap_edge.report.figures import STRETCH, worst_stretch
+
+    t = np.arange(0.0, 300.0, 0.5)
+    before = np.where((t > 200) & (t < 215), 3.0, 1.0)
+    before[7] = np.nan
+    rows = worst_stretch(SimpleNamespace(t_seen=t, before=before))
+    assert t[rows.start] <= 200.5 and 214.5 <= t[rows.stop - 1] <= t[rows.start] + STRETCH
+    whole = worst_stretch(SimpleNamespace(t_seen=t[:60], before=before[:60]))
+    assert (whole.start, whole.stop) == (0, 60)

@@ -1,0 +1,112 @@
+"""docs/track.md as its reader types it: its commands in order; figures, options and the paper's columns are true."""
+
+import argparse
+import re
+import xml.etree.ElementTree as ElementTree
+from pathlib import Path
+
+import numpy as np
+import pytest
+from page import blocks, lines
+
+from softmap_edge.cli import main
+from softmap_edge.commands.track import track_arguments
+from softmap_edge.report.figures import AFTER, INK
+from softmap_edge.robot.control.recording import read_recording
+from softmap_edge.robot.motion.figures import FIGURES
+from softmap_edge.robot.motion.kinematics import METHODS
+from softmap_edge.synthetic.table_two import OURS, PUBLISHED_ERRORS, RIVAL, UNDONE
+
+PAGE = (Path(__file__).parents[2] / "docs/track.md").read_text(encoding="utf-8")
+PATH = "{http://www.w3.org/2000/svg}path"
+SHORT = ["--duration", "6"]  # of what moves: the page's own 20 s change nothing else
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory):
+    """The folder in which the page's commands ran, and what each printed."""
+    there, printed = tmp_path_factory.mktemp("page"), {}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(there)
+        patch.setattr("builtins.print", lambda *a, **k: printed.setdefault(said, []).append(" ".join(map(str, a))))
+        for language, text in blocks(PAGE):
+            for words in lines(text) if language == "" else ():
+                assert words[0] == "softmap"
+                said = " ".join(words[1:])
+                assert main(words[1:] + (SHORT if "--sim" in words else [])) == 0, printed[said]
+    return there, {said: "\n".join(parts) for said, parts in printed.items()}
+
+
+def curves(file):
+    """Return colour and width of the long lines of a picture, in the order in which they are drawn."""
+    lines = [path for path in ElementTree.parse(file).iter(PATH) if path.get("d", "").count("L") > 30]
+    told = [dict(re.findall(r"([a-z-]+): ([^;]+)", path.get("style", ""))) for path in lines]
+    return [(one.get("stroke"), one.get("stroke-width")) for one in told if one.get("fill") == "none"]
+
+
+def test_each_command_says_and_writes_what_the_page_says(page):
+    there, printed = page
+    reach, point, plan, sim, off = printed.values()
+    assert list(printed)[1] == "track --workspace --reach 60 0 60"
+    assert "the tip rests at" in reach and "60.00 mm, along xyz: out of reach by" not in reach
+    assert "out of reach by" in point and "nearest is" in point
+    assert "the model expects the tip off by 0.0" in plan and "camera" not in plan
+    assert "the camera saw it off by" in sim and "s.mcap: written\ns.seen: written" in sim
+    assert sim.endswith("next: softmap diagnose s.mcap")
+    assert 2.0 < float(re.search(r"saw it off by (\S+) ±", sim)[1]) < 4.0
+    assert "a run of 'moe-finger'" in off and 1.0 < float(re.search(r"  tip rms +(\S+)", off)[1]) < 4.0
+    assert curves(there / "reach.svg")
+    assert curves(there / "s.svg")[:2] == [(INK, "2.4"), (AFTER, "1.2")]  # wanted, and expected over it
+    assert curves(there / "seen.svg")[:2] == [(INK, "2.4"), (AFTER, "1.2")]  # wanted, and seen over it
+    recording = read_recording(there / "s.mcap")
+    assert recording.replay() == [] and np.ptp(recording.run().ticks, axis=0).min() > 300
+
+
+def test_the_pages_figures_methods_and_options_are_those_of_the_verb():
+    names = re.search(r"Figures: `([^`]+)`", PAGE)
+    assert names and names[1].split() == list(FIGURES)
+    parser = argparse.ArgumentParser()
+    track_arguments(parser)
+    verb = {option for action in parser._actions for option in action.option_strings}
+    assert set(re.findall(r"`(--[a-z-]+)", PAGE)) | set(re.findall(r" (--[a-z-]+)", "\n".join(
+        line for line in PAGE.splitlines() if line.startswith("softmap track")
+    ))) <= verb  # fmt: skip
+    assert all(f"--method {name}" in PAGE or name == "exact" for name in METHODS)
+
+
+def test_table_ii_stands_whole_with_the_papers_own_figures_as_other_data():
+    rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in PAGE.splitlines() if line.startswith("| ")]
+    head, *rows = rows
+    assert head[2:] == ["simulator", "stand-in", "the paper: simulation", "the paper: hardware"]
+    names = {"DeepSoRo-style": RIVAL}
+    told = {(letter, names.get(name, name)): cells for letter, name, *cells in rows}
+    assert list(told) == [(letter, name) for letter in "SHOE" for name in (OURS, UNDONE, RIVAL)]
+    for key, cells in told.items():
+        paper = ["{:.2f} ± {:.2f}, {:.2f}".format(*numbers) for numbers in PUBLISHED_ERRORS.get(key, ())] or ["", ""]
+        assert cells[2:] == paper, key
+        for cell in cells[:2]:
+            mean, _, most = map(float, re.fullmatch(r"(\d\.\d\d) ± (\d\.\d\d), (\d\.\d\d)", cell).groups())
+            assert 0 < mean < most
+    assert "The paper's columns are of **other data**" in PAGE
+
+
+def test_the_commands_that_lead_from_a_recording_to_the_figure_are_commands(capsys):
+    """They move for two minutes: what they do is tested in tests/robot/test_record_robot.py."""
+    text, _ = (text for language, text in blocks(PAGE) if language == "text")
+    words = list(lines(text))
+    assert [line[1] for line in words] == ["next", "record", "diagnose", "add", "track"]
+    for line in words:
+        assert main([line[1], "--help"]) == 0
+        told = capsys.readouterr().out
+        assert all(word in told for word in line[2:] if word.startswith("--")), line
+
+
+def test_the_commands_of_table_ii_are_commands():
+    """Training takes minutes: here the lines only fit together. The table runs in tests/synthetic/test_table_two.py."""
+    _, text = (text for language, text in blocks(PAGE) if language == "text")
+    words = list(lines(text))
+    assert [line[1] for line in words] == ["train", "train", "adapt", "track"]
+    parser = argparse.ArgumentParser()
+    track_arguments(parser)
+    args = parser.parse_args(words[-1][2:])
+    assert args.table and args.bundle == words[2][-1] and args.rival == words[1][-1]

@@ -1,0 +1,41 @@
+"""A page of docs/ as its reader runs it: its blocks, the words of its commands, and a folder in which they run."""
+
+import re
+import shlex
+import shutil
+from pathlib import Path
+
+import pytest
+
+from softmap_edge.cli import main
+
+ROOT = Path(__file__).parents[2]
+
+
+def blocks(page):
+    """Return the fenced blocks of a page as (language, text)."""
+    return re.findall(r"^```(\w*)\n(.*?)^```$", page, re.MULTILINE | re.DOTALL)
+
+
+def lines(text):
+    """Return the command lines of a block as words, continued lines joined and comments dropped."""
+    joined = text.replace("\\\n", " ").splitlines()
+    return [words for line in joined if (words := shlex.split(line, comments=True))]
+
+
+def reader(there, data):
+    """Make `there` the reader's folder: the examples, and `data` where `make data` puts it."""
+    (there / "data").mkdir()
+    (there / "data" / data.name).symlink_to(data)
+    shutil.copytree(ROOT / "examples", there / "examples")  # a link would send `../data` back here
+    return there
+
+
+def run_commands(page, there):
+    """Run the commands of a page without Python, in their order; each must succeed. Other texts are left to others."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(there)
+        for language, text in blocks(page):
+            for words in lines(text) if language != "text" else ():
+                assert words[0] in ("make", "softmap")
+                assert words[0] == "make" or main(words[1:]) == 0, words
