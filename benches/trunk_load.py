@@ -52,7 +52,7 @@ def reference(free: Run) -> tuple[Model, Model]:
     """Return the rod of the unloaded run, on encoders, that has not seen the later moves; and it with free tendons."""
     model = learn_model(free, hold_out=[HOLD_OUT])
     slack = replace(RodParameters.from_arrays(model.arrays["prior"]), lock=0.0)
-    return model, replace(model, fields=slack.fields())
+    return model, model.with_structure(fields=slack.fields())
 
 
 def error(model: Model, run: Run) -> float:

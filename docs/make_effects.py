@@ -9,7 +9,6 @@ those that change a number of the prior, on an elastic rod of the same length.
 from __future__ import annotations
 
 import io
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -88,7 +87,7 @@ def load_errors() -> dict[str, tuple[float, float, float]]:
         truth = simulator.path(u, gravity=gravity, load=NEWTON_PER_GRAM * grams * gravity) - bare
         loaded = Run(t=t, command=u, t_seen=t, gravity=gravity, load=np.full(len(u), grams))
         misses = []
-        for told in (model, replace(model, second=None)):
+        for told in (model, model.with_structure(second=None)):
             moved = told.predict(loaded) - told.predict(Run(t=t, command=u, t_seen=t))
             misses.append(_rms(moved - truth))
         found[name] = (misses[0], misses[1], _rms(truth))
@@ -142,7 +141,7 @@ def pictured(effect: dict[str, Any]) -> bytes:
             if effect["role"] == "prior":
                 frames = _rod().predict(chain, sets, _core.Inputs(u, t, t))
             else:
-                frames = model.predict_features((effect["name"],), sets, run)[:, :, model.positions]
+                frames = model.predict_features((effect["name"],), sets, run)[:, :, model.structure.positions]
             _seen(figure, t, moments, frames[0], frames[1])
         units = dict(zip([*chain.labels, *chain.group_labels], ["" if u == "1" else f" {u}" for u in chain.units] * 2))
         given = ", ".join(f"{n.split('.')[1]} {v:.3g}{units[n]}" for n, v in named(chain, params).items())

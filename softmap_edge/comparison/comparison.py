@@ -253,7 +253,7 @@ def _by_section(model: Model, squared: Floats, visible: Mask, names: list[str]) 
         end = {0: " base", len(labels) - 1: " tip"}.get(position, "")
         own = names[section] if names else f"marker {position + 1}"
         name = own if markers else f"{position + 1}{end}"
-        height = None if markers else np.asarray(model.along)[member]
+        height = None if markers else np.asarray(model.structure.arc_length)[member]
         low, high = (None, None) if height is None else (float(height.min()), float(height.max()))
         rows.append(Bin(name, low, high, int(counts.any(axis=1).sum()), rms(sums[counts])))
     return rows

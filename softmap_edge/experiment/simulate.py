@@ -352,7 +352,7 @@ def _declared_noise(model: Model, diagnosis: Diagnosis) -> Noise:
     """Return the noise that a diagnosis states, the same for each coordinate, where its runs are not given."""
     stated = diagnosis.error.noise_floor
     mm = stated if stated is not None and 0 < stated < 1e3 else 0.3
-    return Noise(np.eye(3 * len(model.positions)) * max(mm / np.sqrt(3.0), FLOOR) ** 2, "stated", 1.0)
+    return Noise(np.eye(3 * len(model.structure.positions)) * max(mm / np.sqrt(3.0), FLOOR) ** 2, "stated", 1.0)
 
 
 def _thinned(runs: Sequence[Run]) -> list[Run]:

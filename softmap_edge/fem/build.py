@@ -25,6 +25,7 @@ from softmap_edge.geometry.sections import SECTIONS, sections_of, tip_of
 from softmap_edge.model.model import Arrays, Model
 from softmap_edge.model.safety import derived
 from softmap_edge.model.shapes import cables_from, fields_from, pairs_of, plain_table, second_from, table_from
+from softmap_edge.model.structure import Structure
 from softmap_edge.run.run import Run
 from softmap_edge.version import __version__
 
@@ -127,18 +128,20 @@ def from_sweep(finger: Finger, simulator: Simulator, sweep: Sweep, report: Progr
     fields |= second_arrays(simulator.bends(tensor_grid(second_axes)), second_axes, bool(stiffness), basis)
     report("fields", 1.0)
     model = Model(
+        structure=Structure(
+            prior=table_from(prior),
+            fields=fields_from(fields),
+            cables=cables_from(prior, fields),
+            second=second_from(fields),
+            rest=np.asarray(np.float32(rest), float),
+            triangles=np.asarray(triangles, np.int32),
+            tip_indices=tip_of(sweep.vertices),
+            gravity_reference=np.asarray(finger.gravity, float),
+            command_range=np.array([[axis[0], axis[-1]] for axis in sweep.axes], float).reshape(-1, 2),
+        ),
         kind="table",
-        prior=table_from(prior),
-        fields=fields_from(fields),
-        cables=cables_from(prior, fields),
-        second=second_from(fields),
-        rest=np.asarray(np.float32(rest), float),
-        triangles=np.asarray(triangles, np.int32),
         form_error=np.zeros((3 * SECTIONS, 3)),
         vertex_error_mm=0.0,
-        tip_indices=tip_of(sweep.vertices),
-        gravity_reference=np.asarray(finger.gravity, float),
-        command_range=np.array([[axis[0], axis[-1]] for axis in sweep.axes], float).reshape(-1, 2),
         robot=finger.name,
         command_unit=finger.command_unit,
         handles=handles_of(finger, rest),
@@ -215,7 +218,7 @@ def form_error(model: Model, finger: Finger, simulator: Simulator) -> tuple[Floa
     for factor in (0.9, 1.1):
         other = Simulator(truth.replace(young_mpa=finger.young_mpa * factor), template=simulator.template)
         error = other.path(commands) - predicted
-        squares.append(model.feature_map(error) ** 2)
+        squares.append(model.structure.feature_map(error) ** 2)
         vertex_squares.append((error**2).sum(axis=2))
         leaning_squares.append(((other.path(commands, gravity=leaning) - leaned) ** 2).sum(axis=2))
     features, upright = np.mean(np.concatenate(squares), axis=0), float(np.mean(vertex_squares))
@@ -223,7 +226,7 @@ def form_error(model: Model, finger: Finger, simulator: Simulator) -> tuple[Floa
     grown = float(np.sqrt(max(aslant - upright, 0.0)) / np.linalg.norm(leaning - model.gravity_reference))
     if meshed:
         error = refined(finger, simulator, commands[:REFINED_COMMANDS])
-        features += np.mean(model.feature_map(error) ** 2, axis=0)
+        features += np.mean(model.structure.feature_map(error) ** 2, axis=0)
         upright += float(np.mean((error**2).sum(axis=2)))
     return np.sqrt(features), float(np.sqrt(upright)), grown
 

@@ -49,6 +49,7 @@ from softmap_edge.model.onnx import MOST_BYTES, read_network
 from softmap_edge.model.safety import Safety, derived, read_safety
 from softmap_edge.model.servo_calibration import Calibration
 from softmap_edge.model.shapes import cables_from, family_from, fields_from, second_from
+from softmap_edge.model.structure import Structure
 from softmap_edge.model.template import template_arrays, template_from
 from softmap_edge.run.output import Output
 from softmap_edge.version import __version__
@@ -111,7 +112,7 @@ def save_bundle(model: Model, path: str | Path) -> Path:
         "gravity_reference": model.gravity_reference.tolist(),
         "held_out_error_mm": float(model.vertex_error_mm),
         "held_out_error_per_g_mm": float(model.error_per_g_mm),
-        "stiffness_known": model.stiffness_known,
+        "stiffness_known": model.structure.stiffness_known,
         "made_from": dict(model.made_from),
         "written_by": f"softmap-edge {__version__}",
         "sha256": {name: _sha256(partial / name) for name in files},
@@ -149,7 +150,7 @@ def _schema(model: Model, files: list[str], own: bool) -> int:
     designed = model.kind != "rod" and bool(set(model.fields) - set(_core.LOADS))
     if own or designed or any(key.endswith("_step") for key in model.arrays["prior"]):
         return 3
-    return 2 if model.kind == "scattered" or model.body is not None else 1
+    return 2 if model.kind == "scattered" or model.structure.body is not None else 1
 
 
 def check_folder(folder: Path) -> None:
@@ -283,35 +284,36 @@ def _model(folder: Path, manifest: dict[str, Any], trusted: Trust) -> Model:
     apart = foreign["prior"]["table_off_mm"] if "prior" in foreign else 0.0
     made_from = _made_from(manifest) | ({"through_onnxruntime": foreign} if foreign else {})
     model = Model(
+        structure=Structure(
+            prior=prior,
+            fields=fields,
+            cables=cables,
+            second=second,
+            rest=rest,
+            triangles=template.triangles,
+            tip_indices=template.tip,
+            gravity_reference=np.array(manifest["gravity_reference"], float),
+            command_range=np.array(manifest["command_range"], float).reshape(-1, 2),
+            body=template.body,
+            stiffness_known=bool(manifest.get("stiffness_known", manifest["kind"] != "rod")),
+        ),
         kind="table" if "prior" in foreign else manifest["kind"],
-        prior=prior,
-        fields=fields,
-        cables=cables,
-        second=second,
-        rest=rest,
-        triangles=template.triangles,
         form_error=template.form_error,
         vertex_error_mm=float(np.hypot(manifest["held_out_error_mm"], apart)),
         error_per_g_mm=float(manifest.get("held_out_error_per_g_mm", 0.0)),
-        tip_indices=template.tip,
-        gravity_reference=np.array(manifest["gravity_reference"], float),
-        command_range=np.array(manifest["command_range"], float).reshape(-1, 2),
         robot=manifest["robot"],
         command_unit=str(manifest.get("command_unit", "mm")),
         input=str(manifest.get("input", "present")),
         made_from=made_from,
         output=Output.from_dict(manifest["output"]) if manifest.get("output") else None,
-        body=template.body,
         handles=template.handles,
         calibration=_calibration(folder, manifest),
         safety=_safety(folder, manifest),
-        stiffness_known=bool(manifest.get("stiffness_known", manifest["kind"] != "rod")),
         arrays={"prior": arrays["prior"], "fields": arrays["fields"]},
     )
-    if model.form_error.shape != (len(model.positions), 3):
-        raise BundleError(
-            f"{folder.name}: form error of shape {model.form_error.shape}, expected ({len(model.positions)}, 3)"
-        )
+    features = len(model.structure.positions)
+    if model.form_error.shape != (features, 3):
+        raise BundleError(f"{folder.name}: form error of shape {model.form_error.shape}, expected ({features}, 3)")
     names, params = load_chain(folder)
     nameless = [name for name in names if name in own_effect.loaded() and name not in manifest.get("own_effects", {})]
     if nameless:

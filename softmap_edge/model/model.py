@@ -19,14 +19,15 @@ from numpy.typing import NDArray
 
 from softmap_edge import _core
 from softmap_edge.errors import SoftmapError
-from softmap_edge.geometry.sections import Body, FeatureMap, marker_features, section_features, upright
+from softmap_edge.geometry.sections import FeatureMap
 from softmap_edge.model import views
 from softmap_edge.model.chain_labels import named, readings, spread, valued
 from softmap_edge.model.coverage import Coverage
 from softmap_edge.model.learned_in import LearnedIn, read_learned_in
-from softmap_edge.model.predictors import Contact, Shape, stations, tip, whole
+from softmap_edge.model.predictors import Shape, all_points, tip
 from softmap_edge.model.servo_calibration import Calibration, converted
 from softmap_edge.model.shapes import family_from
+from softmap_edge.model.structure import Structure
 from softmap_edge.model.training_range import check_commands
 from softmap_edge.run.output import Output
 from softmap_edge.run.pieces import spans
@@ -40,7 +41,6 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 Arrays = dict[str, NDArray[np.generic]]
 TIP_PER_NEWTON = 0.1  # where stiffness is not known: 1 N across the tip moves it by this share of the length
-NEWTON_PER_GRAM = 9.80665e-3  # standard gravity, exact by convention
 NOMINAL = "nominal: 1 N across the tip moves it by a tenth of the length; no load is known in grams"
 BEFORE = ("numbers_before", "error_before_mm")  # arrays of a prior whose numbers were changed with an effect
 KEPT_VIEWS = 4  # as many as runs that are diagnosed together may differ in
@@ -48,28 +48,18 @@ KEPT_VIEWS = 4  # as many as runs that are diagnosed together may differ in
 
 @dataclass(frozen=True, eq=False)
 class Model:
-    """A prior, its fields and the effects added to it.
+    """A structure and the effects added to it.
 
-    `prior` maps commands (n, C) to flattened points (n, 3N) mm; `fields` are displacements per 1 g or per 1 N;
-    `rest` (N, 3) mm are the template's vertices or the markers at rest; `form_error` (V, 3) mm is the measured
-    held-out error of each feature; `made_from` says what made the model (versions, seeds, hashes); `arrays` are the
-    contents of `prior.npz` and `fields.npz`, from which prior, fields and cables were compiled. `body` says how the
-    points lie along a body that does not stand along z or has no mesh. Without `stiffness_known` the fields have a
-    nominal scale: loads that a run declares are not applied, and no fitted load is a weight in grams. `residual` is
-    what was learned on top of the prior with these effects (`adapt`); with others it is gone. `handles` (H,) are the
+    `form_error` (V, 3) mm is the measured held-out error of each feature; `made_from` says what made the model
+    (versions, seeds, hashes); `arrays` are the contents of `prior.npz`, `fields.npz` and `residual.npz`, from which the
+    structure was compiled. The residual was learned with these effects; with others it is gone. `handles` (H,) are the
     vertices that ask for the cloud in the published registration, ascending; None for all.
     """
 
     kind: str
-    prior: Shape
-    fields: Mapping[str, Shape]
-    rest: Floats
-    triangles: NDArray[np.int32]
+    structure: Structure
     form_error: Floats
     vertex_error_mm: float
-    tip_indices: NDArray[np.int64]
-    gravity_reference: Floats
-    command_range: Floats  # (C, 2) mm
     robot: str = "finger"
     command_unit: str = "mm"
     input: str = "present"
@@ -77,69 +67,83 @@ class Model:
     chain_params: Floats = field(default_factory=lambda: np.zeros(0))
     made_from: Mapping[str, Any] = field(default_factory=dict)
     error_per_g_mm: float = 0.0  # by which its own error grows for each g away from the reference
-    cables: _core.Cables | None = None  # how tendons answer loads; a rod has none
-    second: _core.Second | None = None  # what loads do beyond their fields
-    body: Body | None = None
-    stiffness_known: bool = True
     arrays: Mapping[str, Arrays] = field(default_factory=dict, repr=False)
-    residual: Shape | None = None  # commands (n, C) to flattened points (n, 3N) mm
     calibration: Calibration | None = None  # of the servos: what a run's ticks are in commands
     handles: NDArray[np.int64] | None = None
     output: Output | None = None  # meaning of the markers, for a model of forces, angles, levels
     safety: Safety | None = None  # what the finger may be asked; a model of before has none
     _views: dict[tuple[bytes, bool], views.View] = field(default_factory=dict, init=False, repr=False)
 
+    # --- its structure ---------------------------------------------------------------------------
+
+    @property
+    def prior(self) -> Shape:
+        """Effective commands (n, C) to flattened points (n, 3N) mm, without the residual."""
+        return self.structure.prior
+
+    @property
+    def fields(self) -> Mapping[str, Shape]:
+        """Displacements per 1 g or per 1 N, by name."""
+        return self.structure.fields
+
+    @property
+    def residual(self) -> Shape | None:
+        """What was learned on top of the prior with these effects (`adapt`)."""
+        return self.structure.residual
+
+    @property
+    def rest(self) -> Floats:
+        """The template's vertices, or the markers at rest, (N, 3) mm."""
+        return self.structure.rest
+
+    @property
+    def triangles(self) -> NDArray[np.int32]:
+        """Triangles (F, 3) of the template; (0, 3) for markers."""
+        return self.structure.triangles
+
+    @property
+    def tip_indices(self) -> NDArray[np.int64]:
+        """The points whose middle is the tip."""
+        return self.structure.tip_indices
+
+    @property
+    def gravity_reference(self) -> Floats:
+        """Gravity (3,) that the prior holds, in g, base frame."""
+        return self.structure.gravity_reference
+
+    @property
+    def command_range(self) -> Floats:
+        """Lowest and highest command (C, 2) that the prior was made for, in `command_unit`."""
+        return self.structure.command_range
+
     @property
     def channels(self) -> int:
         """Number of commands C."""
-        return int(self.prior.channels)
+        return self.structure.channels
 
     @property
     def markers(self) -> bool:
         """Whether the points are markers rather than vertices of a template."""
-        return len(self.triangles) == 0 and self.body is None
+        return self.structure.markers
+
+    @property
+    def sections(self) -> NDArray[np.int64]:
+        """Section (N,) of each point: slices along the body, or the marker's own number."""
+        return self.structure.sections
+
+    @property
+    def weight_per_length(self) -> float:
+        """The weight (g) at the tip that would move it sideways by the length of the body (`Structure`)."""
+        return self.structure.weight_per_length
+
+    def with_structure(self, **changes: Any) -> Model:
+        """Return the model with fields of its structure replaced."""
+        return replace(self, structure=replace(self.structure, **changes))
 
     @cached_property
     def chain(self) -> _core.Chain:
         """The compiled chain of this model's effects."""
         return _core.Chain(list(self.chain_names), self.channels)
-
-    @cached_property
-    def lie(self) -> Body:
-        """How the points lie along the body."""
-        return upright(self.rest) if self.body is None else self.body
-
-    @property
-    def sections(self) -> NDArray[np.int64]:
-        """Section (N,) of each point: slices along the body, or the marker's own number."""
-        return np.arange(len(self.rest)) if self.markers else self.lie.section
-
-    @property
-    def along(self) -> Floats:
-        """Place (N,) mm of each vertex along the body."""
-        return self.lie.along
-
-    @cached_property
-    def weight_per_length(self) -> float:
-        """The weight (g) at the tip that would move it sideways by the length of the body if the answer were linear.
-
-        0 without fields. If the stiffness is not known, it is in the model's own scale of loads.
-        """
-        sideways = [self.fields[name] for name in ("tip_force_x", "tip_force_y") if name in self.fields]
-        home = np.zeros((1, self.channels))
-        moved = [field.evaluate(home).reshape(-1, 3)[self.tip_indices].mean(axis=0) for field in sideways]  # mm/N
-        most = max((float(np.linalg.norm(one)) for one in moved), default=0.0)
-        return float(np.ptp(self.along)) / most / NEWTON_PER_GRAM if most > 0 else 0.0
-
-    @cached_property
-    def feature_map(self) -> FeatureMap:
-        """The linear map from points to features."""
-        return marker_features(len(self.rest)) if self.markers else section_features(self.lie)
-
-    @property
-    def positions(self) -> NDArray[np.bool_]:
-        """Which features (V,) are places; the others are directions."""
-        return self.feature_map.positions
 
     @cached_property
     def learned_in(self) -> tuple[LearnedIn, ...]:
@@ -167,15 +171,10 @@ class Model:
         return named(self.chain, self.chain_params)
 
     @cached_property
-    def contact(self) -> Contact | None:
-        """Where an obstacle can stop the body."""
-        return stations(self)
-
-    @cached_property
     def tip_shape(self) -> Shape:
         """The tip (3,) mm of what acts: the middle of the `tip_indices`, as the model hangs, unloaded
         (`predictors.tip`)."""
-        return tip(self, self.gravity_reference, 0.0, float("nan"))
+        return tip(self.structure, self.chain, self.chain_params, self.gravity_reference, 0.0, float("nan"))
 
     def tip(self, acting: Floats) -> Floats:
         """Return the tip (n, 3) mm in the base frame where `acting` (n, C) mm acts; nothing is sensed."""
@@ -190,8 +189,8 @@ class Model:
 
         Names of fields, `tendon_compliance`, `contact`, or of a number of its prior.
         """
-        there = set(self.fields) | ({"tendon_compliance"} if self.cables is not None else set())
-        there |= set() if self.contact is None else {"contact"}
+        there = set(self.fields) | ({"tendon_compliance"} if self.structure.cables is not None else set())
+        there |= set() if self.structure.contact is None else {"contact"}
         there |= set(self.prior.numbers)
         chain = _core.Chain([name], self.channels)
         return [wanted for wanted in (*chain.fields, *chain.numbers) if wanted not in there]
@@ -244,10 +243,10 @@ class Model:
         kept = {name: group for name, group in self.arrays.items() if name != "residual"}
         if arrays is None:
             made = {name: told for name, told in self.made_from.items() if name != "residual"}
-            return replace(self, arrays=kept, residual=None, made_from=made)
+            return replace(self.with_structure(residual=None), arrays=kept, made_from=made)
         residual = family_from(arrays)
         _core.Sum(self.prior, residual)  # agrees, or says so
-        return replace(self, arrays=kept | {"residual": dict(arrays)}, residual=residual)
+        return replace(self.with_structure(residual=residual), arrays=kept | {"residual": dict(arrays)})
 
     def changes(self, names: Sequence[str]) -> list[Change]:
         """Return what is fitted along with the effects `names`, labelled as theirs: changes of the prior's numbers.
@@ -288,7 +287,7 @@ class Model:
     def _with_rod(self, rod: ElasticParameters, kept: Arrays) -> Model:
         coverage = {} if self.coverage is None else self.coverage.to_arrays()
         arrays = {**self.arrays, "prior": rod.to_arrays() | coverage | kept}
-        return replace(self, prior=rod.compiled(), fields=dict(rod.fields()), arrays=arrays)
+        return replace(self.with_structure(prior=rod.compiled(), fields=dict(rod.fields())), arrays=arrays)
 
     @cached_property
     def _elastic(self) -> ElasticParameters | None:
@@ -434,4 +433,4 @@ class Model:
     @cached_property
     def points(self) -> _core.Predictor:
         """The predictor of all points."""
-        return whole(self)
+        return all_points(self.structure)

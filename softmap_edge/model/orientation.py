@@ -57,7 +57,7 @@ def gravity_seen(run: Run) -> Floats:
 def _orientations(model: Model, run: Run) -> list[tuple[Rows, Floats | None]]:
     """Return the frames of each orientation, and its gravity (3,) g; None where it is that of the prior."""
     every = np.arange(run.frames)
-    if run.gravity is None or not model.stiffness_known or not model.fields or model.channels not in NODES:
+    if run.gravity is None or not model.structure.stiffness_known or not model.fields or model.channels not in NODES:
         return [(every, None)]
     gravity = gravity_seen(run)
     found: list[tuple[Rows, Floats | None]] = []
@@ -76,7 +76,7 @@ def _orientations(model: Model, run: Run) -> list[tuple[Rows, Floats | None]]:
 def prior_in(model: Model, gravity: Floats | None = None) -> Shape:
     """Return the prior of a model with its residual, as it is or under a gravity (3,) g."""
     if gravity is None:
-        return model.prior if model.residual is None else _core.Sum(model.prior, model.residual)
+        return model.structure.corrected_prior
     axes = [np.linspace(low, high, NODES[model.channels]) for low, high in model.command_range]
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, model.channels)
     t = np.arange(float(len(grid)))

@@ -38,10 +38,11 @@ def template_arrays(model: Model) -> dict[str, NDArray[np.generic]]:
         "tip": model.tip_indices.astype(np.uint32),
         "form_error_mm": model.form_error.astype(np.float32),
     }
-    if model.body is not None:
-        found |= {"section": model.body.section.astype(np.uint16), "along": model.body.along.astype(np.float32)}
-        if model.body.angle is not None:
-            found["angle"] = model.body.angle.astype(np.float32)
+    body = model.structure.body
+    if body is not None:
+        found |= {"section": body.section.astype(np.uint16), "along": body.along.astype(np.float32)}
+        if body.angle is not None:
+            found["angle"] = body.angle.astype(np.float32)
     if model.handles is not None:
         found["handles"] = model.handles.astype(np.uint32)
     return found

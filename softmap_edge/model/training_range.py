@@ -44,7 +44,7 @@ def beyond(model: Model, run: Run) -> list[str]:
     gravity = model.gravity_reference if run.gravity is None else run.gravity
     told = [] if np.allclose(gravity, model.gravity_reference, atol=1e-3) else ["another gravity"]
     told += [] if run.load is None or not np.any(run.load) else ["a load"]
-    if told and not model.stiffness_known:
+    if told and not model.structure.stiffness_known:
         notes.append(
             f"the run declares {' and '.join(told)}; how stiff '{model.robot}' is is not known to its model, so "
             "that is not applied"

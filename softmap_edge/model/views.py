@@ -62,12 +62,12 @@ def view_of(model: Model, run: Run) -> View:
     if not model.markers and run.markers is not None:
         carry = attach(np.asarray(run.marker_rest, float), model.rest, run.marker_names)
         whole = FeatureMap(carry, np.ones(len(carry), bool), np.arange(len(carry)))
-        return View(carry, marker_features(len(carry)), np.zeros(0, np.intp), projected(model, whole))
-    own, rows = model.feature_map, np.arange(len(model.positions))
+        return View(carry, marker_features(len(carry)), np.zeros(0, np.intp), projected(model.structure, whole))
+    own, rows = model.structure.feature_map, np.arange(len(model.structure.positions))
     if not roll_seen(model, run):
         rows = np.flatnonzero(own.positions)
         own = FeatureMap(own.weights[rows], own.positions[rows], own.section[rows])
-    return View(None, own, rows, model.points if model.markers else projected(model, own))
+    return View(None, own, rows, model.points if model.markers else projected(model.structure, own))
 
 
 def laid(run: Run) -> bool:
@@ -77,7 +77,7 @@ def laid(run: Run) -> bool:
 
 def roll_seen(model: Model, run: Run) -> bool:
     """Return whether a run tells what the body does about its own axis, or the model has no features of that."""
-    return not laid(run) or bool(model.positions.all())
+    return not laid(run) or bool(model.structure.positions.all())
 
 
 def seen_features(model: Model, run: Run) -> Floats:
@@ -87,7 +87,8 @@ def seen_features(model: Model, run: Run) -> Floats:
         return view.mapping(seen)
     if view.carry is not None or model.markers:
         return np.where(visible[..., None], seen, np.nan)
-    return model.features(run) + seen_residual(seen - model.predict(run), model.lie, visible)[:, view.rows]
+    missed = seen_residual(seen - model.predict(run), model.structure.body_coordinates, visible)
+    return model.features(run) + missed[:, view.rows]
 
 
 def seen_points(model: Model, run: Run) -> Floats:

@@ -27,6 +27,7 @@ from softmap_edge.model.learned_in import LearnedIn
 from softmap_edge.model.model import NOMINAL, Model
 from softmap_edge.model.safety import derived
 from softmap_edge.model.servo_calibration import from_home
+from softmap_edge.model.structure import Structure
 from softmap_edge.rod.elastic_fit import fit_elastic, fit_for
 from softmap_edge.rod.polynomial import fit_polynomial
 from softmap_edge.rod.reference_run import Fitted, Number, Rod, Seen, observe
@@ -361,16 +362,19 @@ def learned_model(runs: Run | Sequence[Run], learned: LearnedRod) -> Model:
     reach = np.stack([commands.min(axis=0), commands.max(axis=0)], axis=1)
     home = rod.evaluate(_rest(reach)[None]).reshape(-1, 3)
     model = Model(
+        structure=Structure(
+            prior=rod,
+            fields=learned.rod.fields(),
+            rest=np.asarray(home if run.marker_rest is None else run.marker_rest, float),
+            triangles=np.zeros((0, 3), np.int32),
+            tip_indices=np.array([markers - 1]),
+            gravity_reference=_gravity(run),
+            command_range=reach,
+            stiffness_known=False,
+        ),
         kind="rod",
-        prior=rod,
-        fields=learned.rod.fields(),
-        rest=np.asarray(home if run.marker_rest is None else run.marker_rest, float),
-        triangles=np.zeros((0, 3), np.int32),
         form_error=learned.form_error,
         vertex_error_mm=learned.error_mm,
-        tip_indices=np.array([markers - 1]),
-        gravity_reference=_gravity(run),
-        command_range=reach,
         robot=run.robot or str(learned.made_from.get("robot", "robot")),
         command_unit=run.command_unit,
         calibration=counted,
@@ -378,7 +382,6 @@ def learned_model(runs: Run | Sequence[Run], learned: LearnedRod) -> Model:
         output=run.output,
         made_from=learned.made_from,
         arrays={"prior": learned.to_arrays() | learned.coverage.to_arrays(), "fields": {}},
-        stiffness_known=False,
     )
     return replace(model.with_effects(learned.chain_names, learned.chain_params), safety=derived(model))
 

@@ -28,6 +28,7 @@ from softmap_edge.geometry.sections import tip_of
 from softmap_edge.model.model import NOMINAL, Arrays, Model
 from softmap_edge.model.safety import derived
 from softmap_edge.model.shapes import family_from, fields_from
+from softmap_edge.model.structure import Structure
 from softmap_edge.sweep.bending import Stiffness, fields, weigh
 from softmap_edge.sweep.scattered import fit_scattered
 from softmap_edge.sweep.stiff_sections import stretch_fields
@@ -103,19 +104,21 @@ def model_from_shapes(sweep: ShapeSweep, source: dict[str, Any] | None = None, p
     line = find_centreline(rest, sweep.base)
     _stands_on_its_base(line, sweep.vertices)
     model = Model(
+        structure=Structure(
+            prior=shape,
+            fields={},
+            rest=rest,
+            triangles=sweep.triangles,
+            tip_indices=tip_of(sweep.vertices[:: max(1, len(flat) // MODE_ROWS)]),
+            gravity_reference=np.array([0.0, 0.0, 1.0]) if sweep.gravity is None else sweep.gravity,
+            command_range=np.stack([sweep.command.min(axis=0), sweep.command.max(axis=0)], axis=1),
+            body=line.body(),
+        ),
         kind="table" if sweep.axes is not None else "scattered",
-        prior=shape,
-        fields={},
-        rest=rest,
-        triangles=sweep.triangles,
         form_error=np.zeros((1, 3)),
         vertex_error_mm=0.0,
-        tip_indices=tip_of(sweep.vertices[:: max(1, len(flat) // MODE_ROWS)]),
-        gravity_reference=np.array([0.0, 0.0, 1.0]) if sweep.gravity is None else sweep.gravity,
-        command_range=np.stack([sweep.command.min(axis=0), sweep.command.max(axis=0)], axis=1),
         robot=sweep.robot,
         command_unit=sweep.command_unit,
-        body=line.body(),
     )
     progress("form error", 0.0)
     form_error, vertex_error = _error(model, prior, flat[rows], values[rows], left)
@@ -131,11 +134,9 @@ def model_from_shapes(sweep: ShapeSweep, source: dict[str, Any] | None = None, p
         "compliance": _told(stiffness),
     }  # fmt: skip
     return replace(
-        model,
-        fields=fields_from(stored),
+        model.with_structure(fields=fields_from(stored), stiffness_known=stiffness.known),
         form_error=form_error,
         vertex_error_mm=vertex_error,
-        stiffness_known=stiffness.known,
         made_from=made_from,
         arrays={"prior": prior, "fields": stored},
         safety=derived(model),
@@ -219,11 +220,11 @@ def _error(model: Model, prior: Arrays, flat: Floats, values: Floats, left: Floa
     What the modes do not hold of the shapes `flat` (n, M) counts too.
     """
     modes, mean = prior["modes"].astype(float), prior["mean"].astype(float)
-    squares, vertex = np.zeros((len(model.feature_map.weights), 3)), 0.0
+    squares, vertex = np.zeros((len(model.structure.feature_map.weights), 3)), 0.0
     for k in range(0, len(flat), 64):
         rows = slice(k, k + 64)
         error = (left[rows] @ modes + mean + values[rows] @ modes - flat[rows]).reshape(len(flat[rows]), -1, 3)
-        squares += np.sum(model.feature_map(error) ** 2, axis=0)
+        squares += np.sum(model.structure.feature_map(error) ** 2, axis=0)
         vertex += float(np.sum(error**2)) / error.shape[1]
     return np.sqrt(squares / len(flat)), float(np.sqrt(vertex / len(flat)))
 

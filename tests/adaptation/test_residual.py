@@ -104,7 +104,7 @@ def test_every_prediction_has_it_and_the_clamp_stays(adapted, loaded):
     assert np.sqrt(np.mean(np.sum(field**2, axis=2))) == pytest.approx(adapted[1]["size_mm"], rel=1e-6)
     clamp = MODEL.rest[:, 2] < 1e-6
     assert clamp.any() and np.all(field[:, clamp] == 0.0)
-    np.testing.assert_allclose(model.features(loaded), model.feature_map(model.predict(loaded)), atol=1e-6)
+    np.testing.assert_allclose(model.features(loaded), model.structure.feature_map(model.predict(loaded)), atol=1e-6)
     markers = replace(loaded, vertices=None, markers=loaded.vertices[:, ::50], marker_rest=MODEL.rest[::50])
     moved = model.predict(markers) - MODEL.predict(markers)
     assert np.sqrt(np.mean((moved - field[:, ::50]) ** 2)) < 0.05 < np.sqrt(np.mean(moved**2))

@@ -76,7 +76,9 @@ def test_a_bundle_carries_it_and_a_change_of_effects_drops_it(taught, tmp_path):
     assert again.with_effects(["gain"], {}).residual is None
     # Fits see features through a table of it.
     bare = again.with_residual(None)
-    seen = again.feature_map(np.asarray(again.predict(run))) - bare.feature_map(np.asarray(bare.predict(run)))
+    seen = again.structure.feature_map(np.asarray(again.predict(run))) - bare.structure.feature_map(
+        np.asarray(bare.predict(run))
+    )
     assert np.abs(seen - (again.features(run) - bare.features(run))).max() < 0.02
 
 

@@ -306,7 +306,7 @@ def test_the_model_of_the_rod_is_as_good_as_it_says():
     hangs = gravity[:, 2] > 0.99
     assert rms((told - clean)[hangs]) < 2.0 * model.vertex_error_mm < 0.3
     assert rms((told - clean)[~hangs]) < 2.0 * model.vertex_error_mm + model.error_per_g_mm
-    assert model.stiffness_known and set(model.fields) >= set(_core.FIELDS[:6])
+    assert model.structure.stiffness_known and set(model.fields) >= set(_core.FIELDS[:6])
 
 
 def test_the_model_of_the_rod_knows_what_large_loads_do():
@@ -318,7 +318,7 @@ def test_the_model_of_the_rod_knows_what_large_loads_do():
     moved = np.subtract(*(poses.points(finger(1), *template()) for poses in (under, without)))
     run = Run(t=t, command=u, t_seen=t, vertices=moved)
     off = []
-    for each in (model, replace(model, second=None)):
+    for each in (model, model.with_structure(second=None)):
         heavy, light = (each.with_effects(["payload"], {"payload.mass": g}).predict(run) for g in (30.0, 0.0))
         off.append(rms(heavy - light - moved) / rms(moved))
     assert off[0] < 0.08 < 0.12 < off[1], off
@@ -339,7 +339,7 @@ def test_the_model_of_the_rod_knows_what_a_softer_section_does_when_it_leans():
         softer = changes()[name][0](softer, loads, amount)[0] if amount else softer
     moved = settle(softer, loads, guessed(loads.pull)).points(softer, *template()) - without
     off = []
-    for each in (model, replace(model, second=None)):
+    for each in (model, model.with_structure(second=None)):
         off.append(
             rms(each.with_effects(["stiff_section"], params).predict(run) - each.predict(run) - moved) / rms(moved)
         )

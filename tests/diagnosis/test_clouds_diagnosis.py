@@ -35,13 +35,13 @@ def registered():
 
 def rolled(run, degrees):
     """The same vertices, each frame's turned about the local axis of the body, more towards the tip."""
-    own = MODEL.feature_map
+    own = MODEL.structure.feature_map
     centres = own.weights[own.positions] @ run.vertices
     along = np.gradient(centres, axis=1)
     along /= np.linalg.norm(along, axis=2, keepdims=True)
     section = MODEL.sections
     axis, arm = along[:, section], run.vertices - centres[:, section]
-    turn = np.radians(degrees)[:, None] * MODEL.along / MODEL.along.max()
+    turn = np.radians(degrees)[:, None] * MODEL.structure.arc_length / MODEL.structure.arc_length.max()
     moved = np.cross(axis, arm) * np.sin(turn)[..., None]
     moved += np.cross(axis, np.cross(axis, arm)) * (1.0 - np.cos(turn))[..., None]
     return replace(run, vertices=run.vertices + moved)

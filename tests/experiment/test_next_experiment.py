@@ -104,7 +104,7 @@ def test_what_no_block_settles_is_left_to_what_the_library_says():
 
 
 def test_a_rival_that_the_model_cannot_express_is_left_to_what_the_library_says():
-    poor = replace(MODEL, fields={n: f for n, f in MODEL.fields.items() if not n.startswith("curve")})
+    poor = MODEL.with_structure(fields={n: f for n, f in MODEL.fields.items() if not n.startswith("curve")})
     found = document(effects=[{"name": "offset", "params": {}}], alternatives=[{"effects": ["pre_curve"], "why": ""}])
     ranked = next_experiment(poor, found, [played(plan(chosen(UPRIGHT), LIMITS))])
     assert ranked and all(e.plan is None for e in ranked) and {n for e in ranked for n in e.settles} >= {"pre_curve"}

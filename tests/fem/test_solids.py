@@ -56,7 +56,7 @@ def test_a_block_sags_alike_as_bricks_and_as_a_mesh_in_any_unit_and_frame(tmp_pa
 
 def test_a_block_without_tendons_is_a_model_without_commands(tmp_path):
     model = load_bundle(save_bundle(build_model(bar()), tmp_path / "bar"))
-    assert model.channels == 0 and model.cables is None
+    assert model.channels == 0 and model.structure.cables is None
     rest = model.prior.evaluate(np.zeros((1, 0))).reshape(-1, 3)
     assert (rest - model.rest)[model.tip_indices, 0].mean() > 0.5
     assert model.rest[model.tip_indices, 2].min() > SIZE[2] - 1e-6
@@ -117,7 +117,7 @@ def test_a_finger_pulled_by_tension_carries_newtons_everywhere(tmp_path):
         low, high = (middle, high) if other.sweep([[middle]]).tension[0, 0] < 2.0 else (low, middle)
     np.testing.assert_allclose(other.path([[low]])[0], sweep.vertices[3], atol=1e-3)
     model = load_bundle(save_bundle(build_model(finger, 9), tmp_path / "pulled"))
-    assert model.command_unit == "N" and model.cables is None
+    assert model.command_unit == "N" and model.structure.cables is None
     t = np.arange(3.0)
     pulled = Run(t=t, t_seen=t, command=np.full((3, 1), 2.0), command_unit="N", gravity=np.array([0.0, 0.0, 1.0]))
     # A cubic through nine commands against the solved shape.

@@ -166,12 +166,12 @@ def test_a_fit_goes_beyond_what_is_plausible_as_far_as_the_robot_reaches():
     home = np.zeros((1, 2))
     moved = [MODEL.fields[f"tip_force_{a}"].evaluate(home).reshape(-1, 3)[MODEL.tip_indices].mean(0) for a in "xy"]
     length = max(np.linalg.norm(one) for one in moved) * most * 9.80665e-3
-    assert length == pytest.approx(np.ptp(MODEL.along))
+    assert length == pytest.approx(np.ptp(MODEL.structure.arc_length))
 
 
 @pytest.mark.parametrize("half, unit", [(16.0, "mm"), (4.0, "mm"), (4.0, "N"), (90.0, "deg"), (1.2, "rad")])
 def test_ranges_are_a_share_of_the_commands_in_every_unit(half, unit):
-    model = replace(MODEL, command_range=np.array([[-half, half]] * 2), command_unit=unit)
+    model = replace(MODEL.with_structure(command_range=np.array([[-half, half]] * 2)), command_unit=unit)
     chain = _core.Chain(["backlash", "lag", "payload"], 2)
     ranges = ranges_of(model, _core, chain)
     found = dict(zip(chain.group_labels, zip(ranges.start, ranges.low, ranges.high, ranges.limit)))

@@ -25,8 +25,8 @@ def seen(model, commands, **params):
 
 def test_a_wall_stops_the_tip_as_a_force_does_that_holds_it_there(model):
     command, wall = [[9.0, 0.0]], 38.0
-    tip = model.along >= 0.9 * model.along.max()
-    radius = model.contact[-1][-1]
+    tip = model.structure.arc_length >= 0.9 * model.structure.arc_length.max()
+    radius = model.structure.contact[-1][-1]
     simulator = Simulator(Finger.builtin())
 
     def solved(newton):

@@ -87,9 +87,8 @@ def old(tmp_path_factory):
     }
     prior = {key: np.asarray(value, np.float32) for key, value in unpacked(model.arrays["prior"]).items()}
     model = replace(
-        model,
+        model.with_structure(fields={name: field for name, field in model.fields.items() if name not in design}),
         arrays={"prior": prior, "fields": kept},
-        fields={name: field for name, field in model.fields.items() if name not in design},
         safety=None,
     )
     folder = save_bundle(model, tmp_path_factory.mktemp("bundles") / "old")

@@ -14,6 +14,7 @@ from softmap_edge.cli import main
 from softmap_edge.errors import SoftmapError
 from softmap_edge.model.elastic_rod import ROUTING, ElasticParameters, Layout
 from softmap_edge.model.model import Model
+from softmap_edge.model.structure import Structure
 from softmap_edge.rod.learn import learned_model
 from softmap_edge.run.run import Run
 
@@ -75,19 +76,21 @@ def test_tendons_that_run_elsewhere_are_found_on_a_rod():
     aside = rod.numbers.copy()
     aside[[1, 3]] += np.radians(8.0)
     model = Model(
+        structure=Structure(
+            prior=rod.compiled(),
+            fields=dict(rod.fields()),
+            rest=rod.compiled().evaluate(np.zeros((1, 2))).reshape(4, 3),
+            triangles=np.zeros((0, 3), np.int32),
+            tip_indices=np.array([3]),
+            gravity_reference=np.array([0.0, 0.0, 1.0]),
+            command_range=np.array([[-5.0, 5.0]] * 2),
+            stiffness_known=False,
+        ),
         kind="rod",
-        prior=rod.compiled(),
-        fields=dict(rod.fields()),
-        rest=rod.compiled().evaluate(np.zeros((1, 2))).reshape(4, 3),
-        triangles=np.zeros((0, 3), np.int32),
         form_error=np.full((4, 3), 0.05),
         vertex_error_mm=0.1,
-        tip_indices=np.array([3]),
-        gravity_reference=np.array([0.0, 0.0, 1.0]),
-        command_range=np.array([[-5.0, 5.0]] * 2),
         robot="two pairs",
         made_from={},
-        stiffness_known=False,
     )
     t = np.arange(0.0, 60.0, 0.2)
     u = 5.0 * np.stack([np.sin(0.4 * t), np.sin(0.7 * t)], axis=1)

@@ -65,7 +65,10 @@ def test_a_stretched_or_sheared_sheet_has_the_strain_of_its_closed_form(gamma):
             return np.tile((corners @ gradient.T).ravel(), (len(u), 1))
 
     sheet = replace(
-        MODEL, prior=Sheet(), rest=corners, triangles=np.array([[0, 1, 2], [1, 3, 2]], np.int32), arrays={}, body=None
+        MODEL.with_structure(
+            prior=Sheet(), rest=corners, triangles=np.array([[0, 1, 2], [1, 3, 2]], np.int32), body=None
+        ),
+        arrays={},
     )
     strain = 0.25 if gamma == 0.0 else gamma / 2 + np.sqrt(1 + gamma**2 / 4) - 1
     assert derived(sheet).simulated["strain"] == pytest.approx(strain, abs=1e-4)
@@ -134,10 +137,10 @@ def test_a_file_that_is_gone_or_no_text_is_refused(bundle):
 
 
 def test_a_narrower_model_narrows_the_window(tmp_path):
-    narrow = replace(MODEL, command_range=np.array([[-5.0, 5.0], [-16.0, 16.0]]))
+    narrow = MODEL.with_structure(command_range=np.array([[-5.0, 5.0], [-16.0, 16.0]]))
     read = load_bundle(save_bundle(narrow, tmp_path / "narrow")).safety
     assert read.low == (-5.0, -16.0) and read.high == (5.0, 16.0)
-    elsewhere = replace(MODEL, command_range=np.array([[20.0, 30.0], [-16.0, 16.0]]))
+    elsewhere = MODEL.with_structure(command_range=np.array([[20.0, 30.0], [-16.0, 16.0]]))
     assert load_bundle(save_bundle(elsewhere, tmp_path / "elsewhere")).safety.low == (20.0, -16.0)
 
 
@@ -179,4 +182,4 @@ def test_nothing_commanded_has_no_limits():
     class Still:
         channels = 0
 
-    assert derived(replace(MODEL, prior=Still())) is None
+    assert derived(MODEL.with_structure(prior=Still())) is None

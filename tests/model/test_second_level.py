@@ -54,7 +54,7 @@ def test_a_large_load_moves_the_finger_as_the_simulator_says(name, simulator, ba
     gravity, grams, allowed, linear = CASES[name]
     truth = simulator.path(COMMANDS, gravity=gravity, load=NEWTON * grams * gravity) - bare
     model = builtin_model()
-    first, second = (rms(moved(m, gravity, grams) - truth) for m in (replace(model, second=None), model))
+    first, second = (rms(moved(m, gravity, grams) - truth) for m in (model.with_structure(second=None), model))
     assert second < allowed * rms(truth), f"{second:.2f} of {rms(truth):.2f} mm"
     assert first > linear * rms(truth), f"{first:.2f} of {rms(truth):.2f} mm: nothing to improve"
 
@@ -101,7 +101,7 @@ def test_a_softer_or_stiffer_section_moves_the_finger_as_the_simulator_says(name
     for frames in (u, many):
         t = np.arange(float(len(frames)))
         run = Run(t=t, command=frames, t_seen=t, gravity=gravity, load=np.full(len(t), grams))
-        for model in (builtin_model(), replace(builtin_model(), second=without_moduli())):
+        for model in (builtin_model(), builtin_model().with_structure(second=without_moduli())):
             said = model.with_effects([effect], params).predict(run) - model.predict(run)
             off.append(rms(said[:4] - truth) / rms(truth))
     assert max(off[0], off[2]) < allowed, f"{off} of {rms(truth):.2f} mm"
@@ -119,7 +119,7 @@ def test_without_a_change_of_the_modulus_the_answer_is_that_without_its_pairs():
     for count in (5, 200):
         t = np.arange(float(count))
         run = Run(t=t, command=np.resize(COMMANDS, (count, 2)), t_seen=t, gravity=LEANING, load=np.full(count, 30.0))
-        old = replace(model, second=without_moduli())
+        old = model.with_structure(second=without_moduli())
         for names, params in (([], {}), (["twist"], {"twist.angle": 4.0})):
             both = [m.with_effects(names, params).predict(run) for m in (model, old)]
             np.testing.assert_allclose(*both, atol=1e-9)
@@ -128,7 +128,7 @@ def test_without_a_change_of_the_modulus_the_answer_is_that_without_its_pairs():
 def test_a_small_load_is_answered_by_its_fields_and_none_not_at_all():
     """What the second level adds falls with the square of the load."""
     model = builtin_model()
-    linear = replace(model, second=None)
+    linear = model.with_structure(second=None)
     hanging = np.array([0.0, 0.0, 1.0])
     added = [rms(moved(model, hanging, g) - moved(linear, hanging, g)) for g in (0.0, 0.5, 1.0)]
     assert added[0] == 0.0 and 3.6 < added[2] / added[1] < 4.0
@@ -178,7 +178,9 @@ def test_a_finger_driven_by_tension_or_without_tendons_has_one_too(coarse):
         # Without tendons that hold, 20 g along the axis and gravity aside bend it together.
         loaded = replace(bare, gravity=LEANING, load=np.full(2, 20.0))
         truth = simulator.path(command, gravity=LEANING, load=NEWTON * 20.0 * LEANING) - simulator.path(command)
-        first, second = (rms(m.predict(loaded) - m.predict(bare) - truth) for m in (replace(model, second=None), model))
+        first, second = (
+            rms(m.predict(loaded) - m.predict(bare) - truth) for m in (model.with_structure(second=None), model)
+        )
         assert second < 0.5 * first, f"{second:.2f} against {first:.2f} of {rms(truth):.2f} mm"
 
 
@@ -187,8 +189,8 @@ def test_a_bundle_without_a_second_level_is_read_and_a_spoiled_one_refused(tmp_p
     fields = model.arrays["fields"]
     kept = {name: array for name, array in fields.items() if not name.startswith("second_")}
     old = load_bundle(save_bundle(replace(model, arrays={**model.arrays, "fields": kept}), tmp_path / "old"))
-    assert old.second is None and second_from(kept) is None
-    linear = moved(replace(model, second=None), LEANING, 60.0)
+    assert old.structure.second is None and second_from(kept) is None
+    linear = moved(model.with_structure(second=None), LEANING, 60.0)
     np.testing.assert_array_equal(moved(old, LEANING, 60.0), linear)
     kept = {name: array for name, array in fields.items() if not name.startswith("second_moduli")}
     old = load_bundle(save_bundle(replace(model, arrays={**model.arrays, "fields": kept}), tmp_path / "loads alone"))

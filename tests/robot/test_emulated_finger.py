@@ -2,7 +2,6 @@
 
 import subprocess
 import time
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -117,7 +116,7 @@ def test_tendons_ask_for_what_the_model_says(model):
     assert drawn[-1] == pytest.approx(torque / 0.52 * 1470.0, rel=1e-3) and 20 < drawn[-1] < 60
     np.testing.assert_allclose(np.array(second), np.array(first), atol=1.0)
     # Tensions are the model's: without them a nominal stiffness stands in.
-    (nominal, _) = tendon_loads(replace(model, cables=None), calibration(), (-2800.0, 2800.0), known)
+    (nominal, _) = tendon_loads(model.with_structure(cables=None), calibration(), (-2800.0, 2800.0), known)
     assert nominal[-1][1] == pytest.approx(NOMINAL * 10 * 4096 / (2 * np.pi * 280) * 1470.0 / 520.0)
 
 

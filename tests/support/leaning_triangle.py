@@ -49,7 +49,11 @@ class Lean:
         return len(self.triangles) == 0
 
     @property
-    def along(self):
+    def structure(self):
+        return self
+
+    @property
+    def arc_length(self):
         return self.rest[:, 2]
 
     def commands(self, run):

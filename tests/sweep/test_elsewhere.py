@@ -75,7 +75,7 @@ def test_both_are_what_the_robots_do_at_commands_they_never_saw(built):
     u = np.random.default_rng(5).uniform(-12, 12, (300, 2))
     for name, kind in (("arc", "table"), ("rod", "scattered")):
         model = load_bundle(built / name)
-        assert model.kind == kind and not model.markers and model.feature_map.positions.sum() == 9
+        assert model.kind == kind and not model.markers and model.structure.feature_map.positions.sum() == 9
         true = body(name)(u, HANGING if name == "arc" else LEANING, 0.0)
         error = np.sqrt(np.mean(np.sum((model.prior.evaluate(u).reshape(true.shape) - true) ** 2, axis=2)))
         # 0.01 mm is what the truth's own links add to the arc's closed form.
@@ -123,7 +123,7 @@ def test_nothing_hidden_nothing_claimed(built, name, capsys):
 
 def test_the_known_load_finds_the_stiffness(built):
     model = load_bundle(built / "rod")
-    assert model.stiffness_known
+    assert model.structure.stiffness_known
     told = model.made_from["compliance"]
     # 20 g bend the rod past the linear range: 13 % too stiff.
     assert told["per_n_mm2"] == pytest.approx(1.0 / HEAVY.stiffness, rel=0.2)
@@ -143,13 +143,13 @@ def test_the_known_load_finds_the_stiffness(built):
 
 def test_loads_that_a_run_declares_are_not_made_up_where_no_stiffness_is_known(built):
     model = load_bundle(built / "arc")
-    assert not model.stiffness_known
+    assert not model.structure.stiffness_known
     t, u = np.arange(3.0), np.full((3, 2), 5.0)
     plain = Run(t=t, command=u, t_seen=t)
     hung = Run(t=t, command=u, t_seen=t, gravity=LEANING, load=np.full(3, 50.0))
     np.testing.assert_array_equal(model.predict(plain), model.predict(hung))
     assert beyond(model, plain) == [] and "another gravity and a load" in beyond(model, hung)[0]
-    assert replace(model, stiffness_known=True).predict(hung)[0] != pytest.approx(model.predict(hung)[0], abs=0.1)
+    assert model.with_structure(stiffness_known=True).predict(hung)[0] != pytest.approx(model.predict(hung)[0], abs=0.1)
 
 
 def test_a_bundle_of_a_sweep_is_the_same_after_a_journey(built, tmp_path):
@@ -170,7 +170,7 @@ def test_markers_without_a_mesh_on_three_places_and_five_thousand_vertices():
     ):
         u = grid(steps=9)
         model = model_from_array(u, arc(u, place, offset))
-        assert len(model.feature_map.weights) == features and len(model.rest) == len(place)
+        assert len(model.structure.feature_map.weights) == features and len(model.rest) == len(place)
         t, held = np.arange(3.0), np.full((3, 2), 4.0)
         run = Run(t=t, command=held, t_seen=t, vertices=arc(held, place, offset))
         assert np.abs(model.seen_features(run) - model.features(run)).max() < 0.2

@@ -28,7 +28,8 @@ def worse(model):
     for c in range(2):
         prior[f"axis{c}"] = 1.1 * np.asarray(prior[f"axis{c}"])
     return replace(
-        model, arrays=arrays | {"prior": prior}, prior=family_from(prior), fields={}, cables=None, second=None
+        model.with_structure(prior=family_from(prior), fields={}, cables=None, second=None),
+        arrays=arrays | {"prior": prior},
     )
 
 

@@ -106,7 +106,7 @@ def test_a_table_is_judged_where_it_was_told_nothing():
     axis = np.asarray(MODEL.prior.axes[0])
     nodes = np.array([[axis[3], axis[30]], [axis[25], axis[20]], [axis[40], axis[0]]])
     assert told_these(MODEL, nodes) and not told_these(MODEL, nodes + 0.1)
-    assert not told_these(replace(MODEL, prior=MODEL.fields["gravity_x"]), nodes + 0.1)
+    assert not told_these(MODEL.with_structure(prior=MODEL.fields["gravity_x"]), nodes + 0.1)
     moved, shapes = halfway(MODEL, nodes, Finger.builtin())
     step = axis[1] - axis[0]
     np.testing.assert_allclose(np.abs(moved - nodes), step / 2, rtol=1e-6)

@@ -84,11 +84,11 @@ def test_a_bundle_carries_the_network_and_answers_as_it_does(quick, tmp_path):
     assert again.kind == "network" and isinstance(again.prior, _core.Network)
     np.testing.assert_array_equal(again.prior.evaluate(GRID), model.prior.evaluate(GRID))
     assert again.vertex_error_mm > BASE.vertex_error_mm
-    assert set(again.fields) == set(BASE.fields) and again.cables is not None
+    assert set(again.fields) == set(BASE.fields) and again.structure.cables is not None
     assert again.made_from["prior"]["kind"] == "modes"
     # Fits see features through a table of the network: no farther from it than the network is from its set.
     run = _run(RNG.uniform(0.8 * LOW, 0.8 * HIGH, (40, 2)))
-    seen = again.feature_map(np.asarray(again.predict(run)))
+    seen = again.structure.feature_map(np.asarray(again.predict(run)))
     assert np.abs(seen - again.features(run)).max() < 0.02
 
 

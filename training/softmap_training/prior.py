@@ -34,6 +34,7 @@ from softmap_edge.geometry.sections import tip_of
 from softmap_edge.model.model import Arrays, Model
 from softmap_edge.model.onnx import elsewhere, run_elsewhere
 from softmap_edge.model.shapes import family_from
+from softmap_edge.model.structure import Structure
 from softmap_edge.model.training_range import BEYOND, UNLIKE, span
 from softmap_training import baselines, encodings
 from softmap_training.choices import PRIOR_MODES, PRIOR_WIDTHS, PriorKind, Recipe, prior_recipe
@@ -220,13 +221,25 @@ def decoder_model(
     half = float(np.sqrt(np.mean((apart / 2) ** 2)))
     triangles = np.zeros((0, 3), np.int32) if fitted.triangles is None else fitted.triangles
     bare = Model(
-        kind="network", prior=family_from(arrays), fields={}, rest=rest, triangles=triangles,
-        form_error=np.zeros((0, 3)), vertex_error_mm=half, tip_indices=tip_of(sheet),
-        gravity_reference=base.gravity_reference, command_range=base.command_range, robot=base.robot,
-        command_unit=base.command_unit, input=base.input, made_from={"prior": report},
+        structure=Structure(
+            prior=family_from(arrays),
+            fields={},
+            rest=rest,
+            triangles=triangles,
+            tip_indices=tip_of(sheet),
+            gravity_reference=base.gravity_reference,
+            command_range=base.command_range,
+        ),
+        kind="network",
+        form_error=np.zeros((0, 3)),
+        vertex_error_mm=half,
+        robot=base.robot,
+        command_unit=base.command_unit,
+        input=base.input,
+        made_from={"prior": report},
         arrays={"prior": {"onnx": np.frombuffer(content, np.uint8)}, "fields": {}},
-    )  # fmt: skip
-    form = np.full((len(bare.positions), 3), half / np.sqrt(3.0))
+    )
+    form = np.full((len(bare.structure.positions), 3), half / np.sqrt(3.0))
     return replace(bare, form_error=form), report | {"table_off_mm": said["table_off_mm"]}
 
 
@@ -294,7 +307,7 @@ def with_prior(base: Model, trained: Trained | Tabulated, commands: Floats, poin
     kept |= {"form_before": form, "error_before_mm": np.array(error)}
     arrays = dict(base.arrays) | {"prior": kept | dict(trained.arrays)}
     missed = (core.evaluate(commands) - points).reshape(len(points), -1, 3)
-    own = np.sqrt(np.mean(base.feature_map(missed) ** 2, axis=0))
+    own = np.sqrt(np.mean(base.structure.feature_map(missed) ** 2, axis=0))
     return replace(
         base,
         kind="network" if isinstance(core, _core.Network) else "table",

@@ -48,7 +48,7 @@ def tendon_loads(model: Model, calibration: Calibration, window: tuple[float, fl
 def _forces(model: Model, u: Floats) -> Floats:
     """Return with how many N each command (n, C) is pulled back, (n, C)."""
     prior = model.arrays.get("prior", {})
-    if model.cables is None or "pull" not in prior:
+    if model.structure.cables is None or "pull" not in prior:
         return NOMINAL * tendon_mm(model.command_unit) * (u - home_command(model.command_range))
     pull = plain_table(prior, "pull")
     reach = 0.5 * np.diag(np.min(np.abs(np.asarray(model.command_range, float)), axis=1))  # (C, C)

@@ -97,7 +97,10 @@ class Kinematics:
         self.model, self.axes = model, axes
         self.counted: NDArray[np.bool_] = np.array([axis in axes for axis in AXES])
         self._world = hangs, load, temperature
-        self.tip = model.tip_shape if gravity is None and not load else tip(model, *self._world)
+        if gravity is None and not load:
+            self.tip = model.tip_shape
+        else:
+            self.tip = tip(model.structure, model.chain, model.chain_params, *self._world)
         reach = np.asarray(model.command_range, float)
         self.bounds = reach if model.calibration is None else model.calibration.usable(reach)
         self._chain = self.inverse()
