@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from benches.data import ROOT, find_or_say
 from softmap_edge import Finger, Simulator
 from softmap_edge.fem.build import refined
-from softmap_edge.fem.simulator import Template
+from softmap_edge.fem.simulator import FingerTemplate
 
 Floats = NDArray[np.float64]
 
@@ -50,7 +50,7 @@ def beside_refined(finger: Finger, simulator: Simulator) -> Floats:
 def beside_bricks(simulator: Simulator) -> tuple[Floats, Floats, Floats, Floats]:
     """Return difference and motion (3,) mm RMS at BRICKS_AT, then the same of the tip."""
     rest = simulator.template.vertices[free(simulator)]
-    template = Template(np.ascontiguousarray(rest), simulator.template.triangles[:0])
+    template = FingerTemplate(np.ascontiguousarray(rest), simulator.template.triangles[:0])
     one = simulator.path(BRICKS_AT)[:, free(simulator)]
     other = Simulator(Finger.builtin(), template=template).path(BRICKS_AT)
     tip = rest[:, 2] > 0.9 * rest[:, 2].max()

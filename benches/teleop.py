@@ -24,9 +24,9 @@ from softmap_edge.robot.emulated.finger import emulated_bench
 from softmap_edge.robot.motion.kinematics import Kinematics
 from softmap_edge.robot.teleop.drive import Drive
 from softmap_edge.robot.teleop.hand import View
-from softmap_edge.robot.teleop.hand_source import Eyes, camera_eyes
+from softmap_edge.robot.teleop.hand_source import HandSource, camera_hand_source
 from softmap_edge.robot.teleop.keys import Controls
-from softmap_edge.robot.teleop.mapping import Direct
+from softmap_edge.robot.teleop.mapping import DirectMapping
 
 MODELS = (Path.home() / ".cache/softmap-tests/hand_landmarker.task", None)  # of the tests; where --fetch-model puts it
 RATE = 100.0  # periods a second
@@ -37,7 +37,7 @@ class Held:
 
     name = "the benchmark"
 
-    def __init__(self, eyes: Eyes) -> None:
+    def __init__(self, eyes: HandSource) -> None:
         self._eyes = eyes
 
     def controls(self, now: float) -> Controls:
@@ -73,10 +73,10 @@ def measured(video: Path, model: Path | None) -> list[dict[str, object]]:
         with (
             emulated_bench(finger, calibration, rate=RATE) as (_, rig, limits, _),
             Controller(rig, calibration, limits, kinematics=kinematics, record=record) as robot,
-            camera_eyes(video, model, View()) as eyes,
+            camera_hand_source(video, model, View()) as eyes,
         ):
             drive = Drive(
-                robot, kinematics, Direct(kinematics), eyes, [Held(eyes)], rule="key",
+                robot, kinematics, DirectMapping(kinematics), eyes, [Held(eyes)], rule="key",
                 sent=lambda t, u: sent.append((t, tuple(u))),
             )  # fmt: skip
             account = drive.run()

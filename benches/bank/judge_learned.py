@@ -32,7 +32,7 @@ def judge_learned(case: Kept) -> dict[str, Any]:
     found = diagnose(model, run)
     finished = time.process_time()
     document = together(model.learned_in, found.to_dict())
-    expressible = {e["name"] for e in registry if not model.lacking(e["name"])}
+    expressible = {e["name"] for e in registry if not model.missing_for(e["name"])}
     like = names_alike(alike(registry, 1), truth)
     verdict = judged(truth["hidden"], document, like, expressible, truth["also"])
     judge = case.run("judge")

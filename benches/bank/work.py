@@ -117,7 +117,7 @@ def judge_modelled(case: Kept) -> dict[str, Any]:
     model = body_of(truth["slice"]).model()
     registry = _core.effects()
     library = [e["name"] for e in registry if kind != "removed" or e["name"] not in hidden]
-    expressible = {e["name"] for e in registry if not model.lacking(e["name"])}
+    expressible = {e["name"] for e in registry if not model.missing_for(e["name"])}
     started = time.process_time()
     first = diagnose(model, run, effects=library)
     seconds = time.process_time() - started

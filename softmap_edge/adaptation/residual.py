@@ -137,7 +137,7 @@ def _missed(base: Model, runs: Sequence[Run]) -> tuple[list[Missed], Floats]:
             continue
         points = base.points_in_mm(some)
         missed = (points - base.predict(some)).reshape(some.frames, -1)
-        each.append((base.acts(some), missed, known(some, points)))
+        each.append((base.effective_commands(some), missed, known(some, points)))
         times.append(some.t_seen - some.t_seen[0] + end)
         end = float(times[-1][-1]) + APART
     frames = sum(len(t) for t in times)

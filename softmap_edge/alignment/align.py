@@ -23,7 +23,7 @@ from softmap_edge.alignment.groups import GROUP_FRAMES, Moved, base_motion, foll
 from softmap_edge.alignment.result import Alignment, base_markers
 from softmap_edge.alignment.solve import solve
 from softmap_edge.errors import AlignError
-from softmap_edge.geometry.rigid import Pose
+from softmap_edge.geometry.rigid import RigidPose
 from softmap_edge.run.conditions import conditions
 from softmap_edge.run.plane import unmeasured
 from softmap_edge.run.run import Run, known
@@ -65,7 +65,7 @@ def align_home(run: Run, model: Model) -> Alignment:
     if not model.markers and run.vertices is not None:  # the clamped ring says whether it is the base that moved
         ring = sorted(clamped_places(run, model))
 
-        def motion(pose: Pose) -> Moved | None:
+        def motion(pose: RigidPose) -> Moved | None:
             return base_motion(run, seen[:, ring], visible[:, ring], model.rest[ring], model.rest, pose)
 
     found = solve(groups, form, section, HOME, f"the model of '{model.robot}'", motion)
@@ -181,7 +181,7 @@ def _from_base(run: Run, seen: Floats, visible: Mask, names: Sequence[int], targ
     groups = group(run, points, shown, np.broadcast_to(target, points.shape), parts)
     form = np.full((len(names), 3), groups.noise)
 
-    def motion(pose: Pose) -> Moved | None:
+    def motion(pose: RigidPose) -> Moved | None:
         some = np.where(visible[usable[::10], :, None], pose(seen[usable[::10]]), np.nan).reshape(-1, 3)
         far = some[np.isfinite(some).all(axis=1)]
         return base_motion(run, points, shown, target, far[np.argsort(-np.linalg.norm(far, axis=1))[:1]], pose)

@@ -22,8 +22,8 @@ from softmap_edge.alignment.checks import student
 from softmap_edge.alignment.clouds import clouds_of
 from softmap_edge.alignment.result import Alignment
 from softmap_edge.errors import AlignError
-from softmap_edge.geometry.rigid import Pose, jacobian, rotation, rotation_vector
-from softmap_edge.model.orientation import priors_in
+from softmap_edge.geometry.rigid import RigidPose, jacobian, rotation, rotation_vector
+from softmap_edge.model.orientation import priors_by_orientation
 
 if TYPE_CHECKING:
     from softmap_edge.model.model import Model
@@ -75,14 +75,14 @@ def align_clouds(run: Run, model: Model) -> Alignment:
             f"{count} points within {GATE:g} mm of the lowest {ZONE * height:.0f} mm of the body, {LEAST} or more tell "
             "where the base stands; show the base to the cameras"
         )
-    pose, step = Pose(np.eye(3), np.zeros(3)), np.zeros(6)
+    pose, step = RigidPose(np.eye(3), np.zeros(3)), np.zeros(6)
     for _ in range(ROUNDS):
         each = zip(clouds, surfaces, shapes[:, near], slopes)
         rows = [_row(pose(cloud), surface, shape, by, centre, reach) for cloud, surface, shape, by in each]
         found = _Normal.of(rows)
         step = found.step()
         more = rotation(step[:3] / reach)
-        pose = Pose(more, centre - more @ centre + step[3:]).after(pose)
+        pose = RigidPose(more, centre - more @ centre + step[3:]).after(pose)
         if np.abs(step).max() < SETTLED:
             break
     lever = np.eye(6) / np.r_[np.full(3, reach), np.ones(3)]  # of (turn · reach, shift at the centre) to what is told
@@ -114,7 +114,7 @@ def in_base(run: Run, model: Model) -> tuple[Run, Alignment | None]:
     return (found.apply(run), found) if clear else (run, None)
 
 
-def base_stood_off(pose: Pose) -> str:
+def base_stood_off(pose: RigidPose) -> str:
     """Say that clouds were taken by a pose into the frame of their base, and what to do with others."""
     turn, shift = np.degrees(rotation_vector(pose.rotation)), pose.shift
     turned, shifted = (", ".join(f"{v + 0.0:.2f}" for v in numbers) for numbers in (turn, shift))
@@ -180,9 +180,9 @@ def _near(cloud: Floats, surface: _core.Surface, centre: Floats, reach: float, z
 
 def _slopes(model: Model, run: Run) -> Floats:
     """Return what commands do to the vertices (K, N, 3, C) of each frame."""
-    u = model.acts(run)
+    u = model.effective_commands(run)
     slopes = np.empty((len(u), *model.rest.shape, model.channels))
-    for rows, family in priors_in(model, run):
+    for rows, family in priors_by_orientation(model, run):
         slopes[rows] = np.asarray(family.jacobian(np.ascontiguousarray(u[rows]))).reshape(-1, *slopes.shape[1:])
     return slopes
 

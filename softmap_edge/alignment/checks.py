@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.errors import AlignError
-from softmap_edge.geometry.rigid import Pose, robust
+from softmap_edge.geometry.rigid import RigidPose, robust
 from softmap_edge.geometry.sections import UNITS
 
 Floats = NDArray[np.float64]
@@ -112,7 +112,7 @@ def check_scale(source: Floats, target: Floats, seen: Mask, what: str, left: flo
     return ratio
 
 
-def check_mirror(source: Floats, target: Floats, sigma: Floats, seen: Mask, pose: Pose, what: str) -> None:
+def check_mirror(source: Floats, target: Floats, sigma: Floats, seen: Mask, pose: RigidPose, what: str) -> None:
     """Raise AlignError when a mirrored frame fits the points (N, 3) mm much better than any rotation."""
     flipped = source * [1.0, 1.0, -1.0]
     mirror, _ = robust(flipped, target, sigma, seen)

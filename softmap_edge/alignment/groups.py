@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from softmap_edge.geometry.rigid import Pose, gain, jacobian, kabsch, refined, rotation
+from softmap_edge.geometry.rigid import RigidPose, gain, jacobian, kabsch, refined, rotation
 from softmap_edge.run.run import Run
 
 Floats = NDArray[np.float64]
@@ -94,7 +94,7 @@ def group(run: Run, seen: Floats, visible: Mask, target: Floats, parts: Sequence
     return Groups(source, wanted, count, t, max(noise, 1e-6))
 
 
-def small_pose(groups: Groups, g: int, weight: Floats, pose: Pose) -> Floats:
+def small_pose(groups: Groups, g: int, weight: Floats, pose: RigidPose) -> Floats:
     """Return the small turn (rad) and shift (mm) (6,) of one group against the pose of all; NaN where it has none."""
     if (weight > 0).sum() < 3:
         return np.full(6, np.nan)
@@ -102,7 +102,7 @@ def small_pose(groups: Groups, g: int, weight: Floats, pose: Pose) -> Floats:
     return own.after(pose.inverse()).vector()
 
 
-def base_motion(run: Run, points: Floats, known: Mask, target: Floats, far: Floats, pose: Pose) -> Moved | None:
+def base_motion(run: Run, points: Floats, known: Mask, target: Floats, far: Floats, pose: RigidPose) -> Moved | None:
     """Return how base points (K, B, 3) at `target` (B, 3) move within a run; `far` (N, 3) are the robot's points."""
     usable = np.flatnonzero(known.sum(axis=1) >= 3)
     if len(target) < 3 or len(usable) < 2 * GROUP_FRAMES:
@@ -158,7 +158,7 @@ def find_motion(poses: Floats, noise: Floats, t: Floats, points: Floats, what: s
     )  # fmt: skip
 
 
-def follow(points: Floats, known: Mask, target: Floats, noise_mm: float, pose: Pose) -> tuple[Pose, str]:
+def follow(points: Floats, known: Mask, target: Floats, noise_mm: float, pose: RigidPose) -> tuple[RigidPose, str]:
     """Return a pose for each frame, and a sentence on the noise that they add.
 
     They are smoothed as far as the base's motion allows; frames that show too little take those beside them.
@@ -177,7 +177,7 @@ def follow(points: Floats, known: Mask, target: Floats, noise_mm: float, pose: P
     one = noise**2 * np.einsum("inc,inc->i", answer, answer)  # (6,) variance of one frame's pose
     half = _window(small, one)
     smooth = _smoothed(small, half)
-    every = Pose(rotation(smooth[:, :3]), smooth[:, 3:]).after(pose)
+    every = RigidPose(rotation(smooth[:, :3]), smooth[:, 3:]).after(pose)
     turn = float(np.sqrt(one[:3].sum() / (2 * half + 1)))
     note = f"the base is held still frame by frame, smoothed over {2 * half + 1} frames; that adds noise of "
     note += f"{np.degrees(turn):.2g} deg, {100 * turn:.2g} mm for each 100 mm from the base"

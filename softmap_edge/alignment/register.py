@@ -21,7 +21,7 @@ from softmap_edge import _core
 from softmap_edge.alignment.clouds import clouds_of
 from softmap_edge.errors import RegistrationError
 from softmap_edge.model.model import Model
-from softmap_edge.model.orientation import prior_in, priors_in
+from softmap_edge.model.orientation import prior_under_gravity, priors_by_orientation
 from softmap_edge.run.run import ROLL_SEEN, Run
 
 Floats = NDArray[np.float64]
@@ -178,7 +178,9 @@ def _robust(core: _core.Registration, model: Model, run: Run | None, clouds: lis
     """Register clouds, each from the shapes that the model has in its orientation."""
     low, high = model.command_range.T.tolist()
     found: list[dict[str, Any]] = [{}] * len(clouds)
-    for rows, shape in [(np.arange(len(clouds)), prior_in(model))] if run is None else priors_in(model, run):
+    for rows, shape in (
+        [(np.arange(len(clouds)), prior_under_gravity(model))] if run is None else priors_by_orientation(model, run)
+    ):
         some = core.robust(shape, [clouds[k] for k in rows], _candidates(model), low, high)
         for k, one in zip(rows, some):
             found[k] = one

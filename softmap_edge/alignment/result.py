@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from softmap_edge.alignment.groups import Moved
 from softmap_edge.errors import AlignError
-from softmap_edge.geometry.rigid import Pose, rotation_vector
+from softmap_edge.geometry.rigid import RigidPose, rotation_vector
 from softmap_edge.run.run import BASE_MARKERS, Run
 
 Floats = NDArray[np.float64]
@@ -31,7 +31,7 @@ class Alignment:
     run, where it was asked for.
     """
 
-    pose: Pose
+    pose: RigidPose
     sigma: Floats
     method: str
     groups: int
@@ -43,7 +43,7 @@ class Alignment:
     scale: float
     moved: Moved | None
     notes: list[str] = field(default_factory=list)
-    frames: Pose | None = None
+    frames: RigidPose | None = None
 
     def apply(self, run: Run) -> Run:
         """Return the run in the base frame, with the transform and its sigma as `frame` and `frame_sigma`."""
@@ -88,7 +88,7 @@ class Alignment:
         return "\n".join([*lines, *(f"  {note}" for note in self.notes)])
 
 
-def in_frame(run: Run, pose: Pose, sigma: Floats, frames: Pose | None = None) -> Run:
+def in_frame(run: Run, pose: RigidPose, sigma: Floats, frames: RigidPose | None = None) -> Run:
     """Return the run with all that was seen, and what stood on the base, taken by a pose; `frame` says so.
 
     Args:
@@ -103,9 +103,9 @@ def in_frame(run: Run, pose: Pose, sigma: Floats, frames: Pose | None = None) ->
     if base.shape[1]:
         change["extra"] = run.extra | {BASE_MARKERS: (frames or pose)(base)}
     if run.cameras is not None:  # they look from where they stood, at points that have other numbers now
-        looking = Pose(run.cameras[:, :, :3], run.cameras[:, :, 3]).after(pose.inverse())
+        looking = RigidPose(run.cameras[:, :, :3], run.cameras[:, :, 3]).after(pose.inverse())
         change["cameras"] = np.concatenate([looking.rotation, looking.shift[:, :, None]], axis=2)
-    before = Pose(np.eye(3), np.zeros(3)) if run.frame is None else Pose(run.frame[:, :3], run.frame[:, 3])
+    before = RigidPose(np.eye(3), np.zeros(3)) if run.frame is None else RigidPose(run.frame[:, :3], run.frame[:, 3])
     whole = pose.after(before)
     change |= {"frame": np.column_stack([whole.rotation, whole.shift]), "frame_sigma": sigma}
     return dataclasses.replace(run, **change)

@@ -19,7 +19,7 @@ from softmap_edge.alignment.checks import check_mirror, check_scale, check_turns
 from softmap_edge.alignment.groups import Groups, Moved, find_motion, small_pose
 from softmap_edge.alignment.result import Alignment
 from softmap_edge.errors import AlignError
-from softmap_edge.geometry.rigid import Pose, gain, kabsch, refined, robust
+from softmap_edge.geometry.rigid import RigidPose, gain, kabsch, refined, robust
 from softmap_edge.noise.noise_model import form_covariance
 
 Floats = NDArray[np.float64]
@@ -32,7 +32,7 @@ def solve(
     section: NDArray[np.int64],
     method: str,
     what: str,
-    motion: Callable[[Pose], Moved | None] | None = None,
+    motion: Callable[[RigidPose], Moved | None] | None = None,
     measured: bool = False,
 ) -> Alignment:
     """Fit one pose to all groups and one to each; weigh what they tell.
@@ -91,7 +91,7 @@ def solve(
     )  # fmt: skip
 
 
-def _wander(groups: Groups, inlier: Mask, pose: Pose) -> Floats:
+def _wander(groups: Groups, inlier: Mask, pose: RigidPose) -> Floats:
     """Return how far each point (N,) is scattered between the groups, mm a coordinate, beside the rigid pose."""
     count = inlier.sum(axis=0)
     left = np.where(inlier[..., None], pose(groups.source) - groups.target, 0.0)

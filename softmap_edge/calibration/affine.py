@@ -25,7 +25,7 @@ NO_SCATTER = 1e-9  # of the spread of the commands: exact data have no scatter t
 
 
 @dataclass(frozen=True, eq=False)
-class Fit:
+class AffineFit:
     """Coefficients (C, F) and their covariance (C·F, C·F), row by row; `weight` (n,) is 0 for rows that are wrong.
 
     `scatter` (C,) is the standard deviation of a told command about the fit.
@@ -40,11 +40,11 @@ class Fit:
         """Return the commands (n, C) for rows (n, F)."""
         return np.asarray(design @ self.coefficients.T)
 
-    def first(self, features: int) -> Fit:
+    def first(self, features: int) -> AffineFit:
         """Return the fit of the first features alone, the others beside them as they were found."""
         cut = np.arange(self.coefficients.size).reshape(self.coefficients.shape)[:, :features].ravel()
         covariance = self.covariance[np.ix_(cut, cut)]
-        return Fit(self.coefficients[:, :features], covariance, self.weight, self.scatter)
+        return AffineFit(self.coefficients[:, :features], covariance, self.weight, self.scatter)
 
     @property
     def sigma(self) -> Floats:
@@ -52,7 +52,7 @@ class Fit:
         return np.sqrt(np.diag(self.covariance)).reshape(self.coefficients.shape)
 
 
-def fit(design: Floats, u: Floats, covariance: Floats, told: Mask) -> Fit:
+def fit(design: Floats, u: Floats, covariance: Floats, told: Mask) -> AffineFit:
     """Fit commands (n, C) as linear in a design (n, F), n > F.
 
     Args:
@@ -86,7 +86,7 @@ def fit(design: Floats, u: Floats, covariance: Floats, told: Mask) -> Fit:
     inverse = np.linalg.pinv(_normal(x, u, precision)[0], hermitian=True) * spread
     scale = np.tile(size, u.shape[1])
     coefficients = (theta / scale).reshape(u.shape[1], features)
-    return Fit(coefficients, inverse / np.outer(scale, scale), weight, scatter)
+    return AffineFit(coefficients, inverse / np.outer(scale, scale), weight, scatter)
 
 
 def _scatter(left: Floats, told: Mask, features: int) -> Floats:

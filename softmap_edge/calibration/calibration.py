@@ -23,17 +23,17 @@ from numpy.typing import NDArray
 
 from softmap_edge.alignment.base_in_clouds import base_stood_off, in_base
 from softmap_edge.alignment.register import register
-from softmap_edge.calibration.affine import Fit, fit
+from softmap_edge.calibration.affine import AffineFit, fit
 from softmap_edge.calibration.departures import Departure, departures
 from softmap_edge.calibration.found import Calibrated
-from softmap_edge.calibration.held_out import Held, Seen, directions, gather, places, visits
+from softmap_edge.calibration.held_out import HeldOut, SeenMarkers, directions, gather, places, visits
 from softmap_edge.calibration.map_fit import Sights, fit_map, turned_shapes
 from softmap_edge.calibration.matching import Matches, linearised, match
 from softmap_edge.errors import CalibrationError
-from softmap_edge.geometry.rigid import Pose
-from softmap_edge.model.orientation import gravity_seen, leans
+from softmap_edge.geometry.rigid import RigidPose
+from softmap_edge.model.orientation import gravity_seen, other_orientation
 from softmap_edge.model.servo_calibration import LARGEST, Calibration, held_in_ticks
-from softmap_edge.model.training_range import elsewhere, unlike
+from softmap_edge.model.training_range import out_of_reach, shape_mismatch
 from softmap_edge.run.run import Run, known
 
 if TYPE_CHECKING:
@@ -85,8 +85,8 @@ def calibrate(
         found = _calibrated(model, there, home, window, refine)
     if there is run or there.frame is None:
         return _named(found, recorded)
-    before = Pose(np.eye(3), np.zeros(3)) if run.frame is None else Pose(run.frame[:, :3], run.frame[:, 3])
-    told = base_stood_off(Pose(there.frame[:, :3], there.frame[:, 3]).after(before.inverse()))
+    before = RigidPose(np.eye(3), np.zeros(3)) if run.frame is None else RigidPose(run.frame[:, :3], run.frame[:, 3])
+    told = base_stood_off(RigidPose(there.frame[:, :3], there.frame[:, 3]).after(before.inverse()))
     return _named(replace(found, warnings=[told, *found.warnings]), recorded)
 
 
@@ -107,7 +107,7 @@ def _calibrated(
     ticks, notes = _ticks(model, shown), list[str]()
     matches = match(model, shown, refine)
     usable = np.isfinite(matches.mae_mm) & ~matches.edge
-    notes += elsewhere(model, shown) + _doubts(model, shown, matches)
+    notes += out_of_reach(model, shown) + _doubts(model, shown, matches)
     seen = places(shown, ticks, usable)
     held = gather(seen, matches)
     origin = _home(shown, ticks, seen, held) if home is None else np.asarray(home, float).reshape(-1)
@@ -175,7 +175,7 @@ def _ticks(model: Model, run: Run) -> Floats:
     return np.asarray(run.ticks, float)
 
 
-def _home(run: Run, ticks: Floats, seen: Seen, held: Held) -> Floats:
+def _home(run: Run, ticks: Floats, seen: SeenMarkers, held: HeldOut) -> Floats:
     """Return the ticks of the place that was dwelt at most often, of several that where the model acts least."""
     if not len(held):
         return np.zeros(ticks.shape[1])
@@ -197,10 +197,10 @@ def _doubts(model: Model, run: Run, matches: Matches) -> list[str]:
             f"{FAR * length:.3g} mm is the most that can be of this robot; align the run to the base (`softmap align "
             "--base`), or give the bundle of this robot"
         )
-    notes = unlike(model, found)
+    notes = shape_mismatch(model, found)
     if run.gravity is not None:
         lean = np.degrees(np.arccos(np.clip(np.atleast_2d(run.gravity) @ model.gravity_reference, -1.0, 1.0)))
-        if lean.max() > LEANING and not leans(model, run):
+        if lean.max() > LEANING and not other_orientation(model, run):
             notes.append(
                 f"the robot leans {lean.max():.0f} deg from where the model was made, and its shapes are matched as if "
                 "it did not; calibrate a run in a few orientations, with a model that knows its weight"
@@ -210,7 +210,7 @@ def _doubts(model: Model, run: Run, matches: Matches) -> list[str]:
     return notes
 
 
-def _check_design(held: Held, edge: int, frames: int) -> None:
+def _check_design(held: HeldOut, edge: int, frames: int) -> None:
     """Refuse held commands that cannot tell A and b."""
     channels = held.ticks.shape[1] if len(held) else 1
     wanted = SPARE * (channels + 1)
@@ -233,7 +233,7 @@ def _check_design(held: Held, edge: int, frames: int) -> None:
             )
 
 
-def _check_known(found: Fit) -> None:
+def _check_known(found: AffineFit) -> None:
     """Refuse a matrix that is not known well enough to be turned round."""
     a, sigma = found.coefficients[:, :-1], found.sigma[:, :-1]
     least, worst = float(np.linalg.svd(a, compute_uv=False)[-1]), float(np.linalg.norm(sigma, 2))
@@ -248,7 +248,7 @@ def _design(ticks: Floats, home: Floats) -> Floats:
     return np.column_stack([ticks - home, np.ones(len(ticks))])
 
 
-def _fit(held: Held, home: Floats, columns: Floats | None = None, use: Mask | slice = slice(None)) -> Fit:
+def _fit(held: HeldOut, home: Floats, columns: Floats | None = None, use: Mask | slice = slice(None)) -> AffineFit:
     """Fit A and b to the rows `use` of held commands; `columns` (n, m) are fitted beside them."""
     design = _design(held.ticks, home)
     whole = design if columns is None else np.column_stack([design, columns])
@@ -256,7 +256,7 @@ def _fit(held: Held, home: Floats, columns: Floats | None = None, use: Mask | sl
 
 
 def _held_out(
-    model: Model, run: Run, held: Held, matched: Floats, found: Fit, home: Floats, columns: Floats | None
+    model: Model, run: Run, held: HeldOut, matched: Floats, found: AffineFit, home: Floats, columns: Floats | None
 ) -> dict[str, float]:
     """Return the RMS error on blocks that were left out: of a command, and of the shape that it gives, in mm.
 
@@ -276,7 +276,7 @@ def _held_out(
     seen, t = np.asarray(model.points_in_mm(some), float), np.arange(len(order), dtype=np.float64)
     visible = known(some, seen)
 
-    lean = gravity_seen(some) if leans(model, run) else None
+    lean = gravity_seen(some) if other_orientation(model, run) else None
 
     def shape_error(u: Floats) -> float:
         still = replace(
@@ -294,12 +294,12 @@ def _held_out(
     }
 
 
-def _first(held: Held) -> NDArray[np.int64]:
+def _first(held: HeldOut) -> NDArray[np.int64]:
     """Return one frame of each held command, from its middle."""
     return np.array([part[len(part) // 2] for part in held.frames])
 
 
-def _blocks(run: Run, held: Held) -> list[NDArray[np.bool_]]:
+def _blocks(run: Run, held: HeldOut) -> list[NDArray[np.bool_]]:
     """Return masks of the held commands that are left out together: labels of the run, or parts of it."""
     frame = _first(held)
     labels = None if run.block is None else np.asarray(run.block)[frame]
@@ -320,7 +320,7 @@ def _unexplained(calibration: Calibration) -> list[str]:
     ]
 
 
-def _remarks(model: Model, held: Held, found: Fit, matches: Matches, calibration: Calibration) -> list[str]:
+def _remarks(model: Model, held: HeldOut, found: AffineFit, matches: Matches, calibration: Calibration) -> list[str]:
     notes = []
     if not held.still:
         notes.append("too few dwells: frames are taken in motion, where delays and play are in A and b; hold commands")

@@ -22,8 +22,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from softmap_edge.calibration.affine import Fit, fit
-from softmap_edge.calibration.held_out import Held
+from softmap_edge.calibration.affine import AffineFit, fit
+from softmap_edge.calibration.held_out import HeldOut
 from softmap_edge.model.servo_calibration import TURN
 
 Floats = NDArray[np.float64]
@@ -63,7 +63,7 @@ class Departure:
         }  # fmt: skip
 
 
-def departures(held: Held, home: Floats, unit: str) -> list[Departure]:
+def departures(held: HeldOut, home: Floats, unit: str) -> list[Departure]:
     """Return the ways in which commands do not follow ticks as an affine map, the best first.
 
     Args:
@@ -104,7 +104,7 @@ def departures(held: Held, home: Floats, unit: str) -> list[Departure]:
     return list(best.values())
 
 
-def _rivals(held: Held, away: Floats) -> Iterator[tuple[str, str, Floats]]:
+def _rivals(held: HeldOut, away: Floats) -> Iterator[tuple[str, str, Floats]]:
     """Yield kind, words and columns (n, m) of each rival."""
     channels = away.shape[1]
     pairs = [(i, j) for i in range(channels) for j in range(i, channels)]
@@ -136,7 +136,7 @@ def _folds(place: NDArray[np.int64]) -> list[Mask]:
     return [fold == k for k in range(min(FOLDS, len(order)))]
 
 
-def _distances(design: Floats, held: Held, parts: list[Mask], scatter: Floats) -> Floats | None:
+def _distances(design: Floats, held: HeldOut, parts: list[Mask], scatter: Floats) -> Floats | None:
     """Return how far each row (n,) is from what the others say of it, in standard deviations of a told command.
 
     None where what is left out leaves too few to fit.
@@ -159,12 +159,12 @@ def _told(
     before: float,
     after: float,
     design: Floats,
-    held: Held,
+    held: HeldOut,
     away: Floats,
     unit: str,
 ) -> Departure:
     """Say how far from affine a rival is, and where."""
-    found: Fit = fit(design, held.u, held.covariance, held.told)
+    found: AffineFit = fit(design, held.u, held.covariance, held.told)
     count = away.shape[1] + 1
     extra = design[:, count:] @ found.coefficients[:, count:].T
     plain = design[:, :count]

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.calibration.departures import BESIDE, Departure
-from softmap_edge.calibration.held_out import Held
+from softmap_edge.calibration.held_out import HeldOut
 from softmap_edge.model.servo_calibration import Calibration
 
 if TYPE_CHECKING:
@@ -28,7 +28,7 @@ class Calibrated:
 
     model: Model
     calibration: Calibration
-    held: Held
+    held: HeldOut
     weight: Floats
     mae_mm: float
     departures: list[Departure]

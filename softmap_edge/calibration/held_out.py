@@ -27,7 +27,7 @@ WINDOW = 0.5  # s over which the way of a servo is taken
 
 
 @dataclass(frozen=True, eq=False)
-class Held:
+class HeldOut:
     """Held commands: `ticks` (n, C), `u` (n, C) the commands matched, their `covariance` and which are `told`.
 
     `place` (n,) numbers the places; `direction` (n, m) holds signs of the last motion before, where they were asked
@@ -48,7 +48,7 @@ class Held:
 
 
 @dataclass(frozen=True, eq=False)
-class Seen:
+class SeenMarkers:
     """What was seen, frame by frame (those of use): number, ticks (k, C) and place (k,)."""
 
     frame: Index
@@ -57,21 +57,21 @@ class Seen:
     still: bool
 
 
-def places(run: Run, ticks: Floats, usable: Mask) -> Seen:
+def places(run: Run, ticks: Floats, usable: Mask) -> SeenMarkers:
     """Say where each usable frame of a run was, by the ticks (T, C) of its record."""
     state = conditions(run, ticks)
     span = np.maximum(np.ptp(ticks, axis=0), 1.0)
     still = np.flatnonzero(usable & ~state.moving)
     number = _places(state.command[still], state.visit[still], span)
     if len(np.unique(number)) >= ENOUGH * (ticks.shape[1] + 1):
-        return Seen(still, state.command[still], number, True)
+        return SeenMarkers(still, state.command[still], number, True)
     frame = np.flatnonzero(usable)
     cells = np.rint(state.command[frame] / (CELL * span)).astype(np.int64)
     number = np.unique(cells, axis=0, return_inverse=True)[1].reshape(-1) if len(frame) else frame
-    return Seen(frame, state.command[frame], number, False)
+    return SeenMarkers(frame, state.command[frame], number, False)
 
 
-def gather(seen: Seen, matches: Matches, direction: Floats | None = None) -> Held:
+def gather(seen: SeenMarkers, matches: Matches, direction: Floats | None = None) -> HeldOut:
     """Return the held commands of a run: one for each place, or for each place and `direction` (K, m) of the frames."""
     way = np.zeros((len(seen.frame), 0)) if direction is None else direction[seen.frame]
     keys = np.column_stack([seen.place, way])
@@ -79,7 +79,7 @@ def gather(seen: Seen, matches: Matches, direction: Floats | None = None) -> Hel
     parts = [np.flatnonzero(groups == g) for g in range(groups.max(initial=-1) + 1)]
     parts.sort(key=lambda part: int(part[0]))
     rows = [seen.frame[part] for part in parts]
-    return Held(
+    return HeldOut(
         ticks=np.array([seen.ticks[part].mean(axis=0) for part in parts]),
         u=np.array([np.median(matches.command[row], axis=0) for row in rows]),
         covariance=np.array([matches.covariance[row].mean(axis=0) / len(row) for row in rows]),
@@ -91,7 +91,7 @@ def gather(seen: Seen, matches: Matches, direction: Floats | None = None) -> Hel
     )
 
 
-def visits(run: Run, ticks: Floats, seen: Seen) -> Index:
+def visits(run: Run, ticks: Floats, seen: SeenMarkers) -> Index:
     """Return how often each place was dwelt at, by its number."""
     visit = conditions(run, ticks).visit[seen.frame]
     pairs = np.unique(np.column_stack([seen.place, visit]), axis=0)

@@ -20,9 +20,9 @@ from numpy.typing import NDArray
 
 from softmap_edge.calibration.affine import SETTLED, TUKEY, WIDER, weights
 from softmap_edge.calibration.departures import CLEAR, Departure
-from softmap_edge.calibration.held_out import Held, Seen
+from softmap_edge.calibration.held_out import HeldOut, SeenMarkers
 from softmap_edge.calibration.matching import Shapes, weighted
-from softmap_edge.model.orientation import priors_in
+from softmap_edge.model.orientation import priors_by_orientation
 
 if TYPE_CHECKING:
     from softmap_edge.model.model import Model
@@ -56,7 +56,7 @@ class MapFit:
 class Sights:
     """What a map is fitted to: a few frames of each held command, their ticks from home, the shapes of the model."""
 
-    def __init__(self, model: Model, run: Run, held: Held, seen: Seen, home: Floats) -> None:
+    def __init__(self, model: Model, run: Run, held: HeldOut, seen: SeenMarkers, home: Floats) -> None:
         """Pick the frames of `held` among those `seen`; `home` (C,) ticks."""
         each = max(1, min(EACH, MOST // max(len(held), 1)))
         picked = [np.unique(part[np.linspace(0, len(part) - 1, each).astype(int)]) for part in held.frames]
@@ -69,7 +69,7 @@ class Sights:
         some = run.at(frames)
         self.points, weight = weighted(model, some)
         self.weight = weight / weight.sum(axis=1, keepdims=True)
-        self.parts = [(at, Shapes(model, some, family)) for at, family in priors_in(model, some)]
+        self.parts = [(at, Shapes(model, some, family)) for at, family in priors_by_orientation(model, some)]
 
     def look(self, coefficients: Floats, turn: float) -> tuple[Floats, Floats]:
         """Return what a map leaves of the shapes (n, N, 3), and the slopes (n, N, 3, C + 1) of commands and turn."""

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.geometry.rigid import rotation
-from softmap_edge.model.orientation import priors_in
+from softmap_edge.model.orientation import priors_by_orientation
 from softmap_edge.model.views import members, roll_seen, without_roll
 from softmap_edge.run.run import known
 
@@ -77,7 +77,7 @@ def match(model: Model, run: Run, refine: bool = True) -> Matches:
     """
     seen, weight = weighted(model, run)
     visible = weight > 0
-    families = priors_in(model, run)
+    families = priors_by_orientation(model, run)
     if len(families) > 1:
         return _joined([(rows, match(model, run.at(rows), refine)) for rows, _ in families])
     shapes = Shapes(model, run, families[0][1])
@@ -115,7 +115,7 @@ def linearised(model: Model, run: Run, matches: Matches, frames: Index, commands
     command, covariance, told = matches.command.copy(), matches.covariance.copy(), matches.told.copy()
     low, high = model.command_range.T
     some = run.at(frames)
-    for rows, family in priors_in(model, some):
+    for rows, family in priors_by_orientation(model, some):
         shapes = Shapes(model, some, family).turned(turn)
         each = max(1, CHUNK // (3 * shapes.count * (model.channels + 1)))
         for part in np.array_split(rows, -(-len(rows) // each)):

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from typing import Any
 
-from softmap_edge.checks.advice import Word
+from softmap_edge.checks.advice import Advice
 from softmap_edge.files.numbers import folded
 
 
-def advice_lines(words: list[Word]) -> list[str]:
+def advice_lines(words: list[Advice]) -> list[str]:
     """Return the words for a terminal: what can be identified, what cannot with its remedy, and the minutes in all."""
     lines = ["", "This run can identify"]
     lines += [line for word in words if word.tells for line in folded(f"+ {word.text}", 2, 2)] or ["  nothing yet"]

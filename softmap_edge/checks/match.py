@@ -20,11 +20,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge import _core
-from softmap_edge.checks.remembered import centred, remembered
+from softmap_edge.checks.remembered import centred, memory_share
 from softmap_edge.errors import RunError
 from softmap_edge.geometry.rigid import kabsch, rotation_vector
 from softmap_edge.logs.plausible import doubts_of_time
-from softmap_edge.model.training_range import beyond
+from softmap_edge.model.training_range import command_extrapolation
 from softmap_edge.run.conditions import conditions
 
 if TYPE_CHECKING:
@@ -60,7 +60,7 @@ SEEN = 0.3  # of what a step of the command usually moves, below which a frame s
 AS_FAST = 0.4  # of that variance that is left at most where a command goes on as fast as it came
 
 
-def declared(model: Model, run: Run) -> list[str]:
+def declaration_remarks(model: Model, run: Run) -> list[str]:
     """Return remarks on what a run says about itself."""
     found = [f"{text}" for text in doubts_of_time(np.asarray(run.t, float))]
     if run.robot is not None and run.robot != model.robot:
@@ -85,7 +85,7 @@ def declared(model: Model, run: Run) -> list[str]:
     return found
 
 
-def belongs(model: Model, run: Run, seen: Floats, visible: Mask, predicted: Floats) -> list[str]:
+def check_run_matches_model(model: Model, run: Run, seen: Floats, visible: Mask, predicted: Floats) -> list[str]:
     """Refuse a run that cannot be one of this robot under these commands; return doubts about one that may be.
 
     Args:
@@ -109,24 +109,24 @@ def belongs(model: Model, run: Run, seen: Floats, visible: Mask, predicted: Floa
     both = float(np.sum(motion * answer))
     power, moved = float(np.sum(answer**2)), float(np.sum(motion**2))
     other = power > 0 and both > ALIKE * np.sqrt(power * moved) and not 1 / LARGER < both / power < LARGER
-    if other and remembered(model, run.at(some), s, v).share < ALIKE:
+    if other and memory_share(model, run.at(some), s, v).share < ALIKE:
         raise RunError(
             f"the points move {both / power:.3g} times as far as the commands say, in the same way: the commands "
             f"are in another unit than {model.command_unit} (cm, m, deg or ticks?) or of another robot; set `unit` in "
             "the mapping"
         )
-    if follows(s - p, s, v) < FOLLOWED:
+    if followed_share(s - p, s, v) < FOLLOWED:
         _other_cause(model, run, s, v)
     return _held(model, run, seen - predicted, visible)
 
 
-def follows(left: Floats, seen: Floats, visible: Mask) -> float:
+def followed_share(left: Floats, seen: Floats, visible: Mask) -> float:
     """Return which share of the motion of points (K, N, 3) is not `left` (K, N, 3)."""
     moved = float(np.sum(centred(seen, visible) ** 2))
     return 1.0 - float(np.sum(centred(left, visible) ** 2)) / max(moved, 1e-300)
 
 
-def still(seen: Floats, visible: Mask, expected: Floats, fitted: Floats, length: float) -> str | None:
+def not_following(seen: Floats, visible: Mask, expected: Floats, fitted: Floats, length: float) -> str | None:
     """Report a robot that does not follow its commands at all: it hardly moves, or as a model that does not move.
 
     Args:
@@ -157,7 +157,7 @@ def _in_reach(model: Model, run: Run, predicted: Floats, length: float) -> None:
     gone = ~(far < OUT_OF_REACH * length).all(axis=1)
     if not gone.any():
         return
-    reasons = beyond(model, run)
+    reasons = command_extrapolation(model, run)
     if run.load is not None and np.any(run.load):
         alone = np.linalg.norm(model.predict(replace(run, load=None)), axis=2)
         if (alone < OUT_OF_REACH * length).all():
@@ -228,7 +228,7 @@ def _in_place(model: Model, run: Run, rest: Floats, seen: Floats, visible: Mask,
 
 def _or_opposite(model: Model, run: Run, seen: Floats, visible: Mask) -> str:
     """Say so if commands of the opposite sign explain the motion as well as a frame that is turned."""
-    share = follows(seen - _opposite(model, run), seen, visible) if model.channels else 0.0
+    share = followed_share(seen - _opposite(model, run), seen, visible) if model.channels else 0.0
     if share < ALIKE:
         return ""
     explained = f"with which the commands explain {100 * share:.0f} %"
@@ -277,9 +277,9 @@ def _upside_down(model: Model, run: Run, seen: Floats, visible: Mask, predicted:
 def _other_cause(model: Model, run: Run, seen: Floats, visible: Mask) -> None:
     """Name what would make commands and frames agree: another clock, or the other sign."""
     some = np.unique(np.linspace(0, run.frames - 1, min(run.frames, FRAMES)).astype(int))
-    share = follows(seen - _opposite(model, run.at(some)), seen, visible)
+    share = followed_share(seen - _opposite(model, run.at(some)), seen, visible)
     late, later = _clock(model, run, seen, visible, run.t_seen[some])
-    if max(share, later) > ALIKE and remembered(model, run.at(some), seen, visible).free > max(share, later) - NEARLY:
+    if max(share, later) > ALIKE and memory_share(model, run.at(some), seen, visible).free > max(share, later) - NEARLY:
         return
     if share > ALIKE:
         raise RunError(
@@ -320,7 +320,7 @@ def _clock(model: Model, run: Run, seen: Floats, visible: Mask, t: Floats) -> tu
             continue
         at = np.clip(np.rint((t[inside] - late - grid[0]) / (grid[1] - grid[0])).astype(int), 0, TIMES - 1)
         s, v = seen[inside][:, ones], visible[inside][:, ones]
-        share = follows(s - played[at][:, ones], s, v)
+        share = followed_share(s - played[at][:, ones], s, v)
         found.append((float(late), share))
     most = max(share for _, share in found)
     rounds: list[list[tuple[float, float]]] = [[]]

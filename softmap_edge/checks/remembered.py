@@ -31,18 +31,18 @@ CAUGHT = 0.25  # of the squares of a jump, relative to the last step alone: the 
 
 
 @dataclass(frozen=True)
-class Remembered:
+class MemoryShare:
     """Share of the motion that a play in front of the model explains at best: at scale 1, and at any scale (`free`)."""
 
     share: float
     free: float
 
 
-def remembered(model: Model, run: Run, seen: Floats, visible: Mask) -> Remembered:
+def memory_share(model: Model, run: Run, seen: Floats, visible: Mask) -> MemoryShare:
     """Return the share of the motion of points (K, N, 3) that the model explains behind a play of the best width."""
     spans = np.ptp(model.commands(run), axis=0)
     if PLAY in model.chain_names or not np.any(spans > 0):
-        return Remembered(-np.inf, 0.0)
+        return MemoryShare(-np.inf, 0.0)
     half = 0.5 * float(np.median(spans[spans > 0]))
     names, s = (PLAY, *model.chain_names), centred(seen, visible)
     power, best, free = max(float(np.sum(s**2)), 1e-300), -np.inf, 0.0
@@ -52,7 +52,7 @@ def remembered(model: Model, run: Run, seen: Floats, visible: Mask) -> Remembere
         both, size = float(np.sum(s * p)), max(float(np.sum(p**2)), 1e-300)
         best = max(best, 1.0 - float(np.sum((s - p) ** 2)) / power)
         free = max(free, max(both, 0.0) ** 2 / (power * size))
-    return Remembered(best, free)
+    return MemoryShare(best, free)
 
 
 def centred(points: Floats, visible: Mask) -> Floats:

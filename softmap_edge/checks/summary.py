@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from softmap_edge.alignment.clouds import with_depth
-from softmap_edge.checks.advice import Word, advice, home_unknown
+from softmap_edge.checks.advice import Advice, advice, home_unknown
 from softmap_edge.checks.advice_text import advice_lines
 from softmap_edge.checks.collinear import collinear_conditions
 from softmap_edge.checks.frame_clock import frame_clock
@@ -135,7 +135,7 @@ def sentences(document: dict[str, Any]) -> list[str]:
     lines += [line for text in d["warnings"] for line in _hung("look at", text)]
     lines += [line for one in d["collinear"] for line in _hung("alike", one["text"])]
     known_to = [] if d.get("unanswered") else d["can_tell"]  # such a run can tell nothing of its drive
-    return lines + advice_lines([Word(**word) for word in [*known_to, *d["cannot_tell"]]])
+    return lines + advice_lines([Advice(**word) for word in [*known_to, *d["cannot_tell"]]])
 
 
 def _hung(name: str, text: str) -> list[str]:

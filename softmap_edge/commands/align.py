@@ -15,7 +15,7 @@ from softmap_edge.alignment.result import Alignment, base_markers, in_frame
 from softmap_edge.commands.output import check_file, check_no_run
 from softmap_edge.commands.own import effects_argument, load_own, open_model
 from softmap_edge.errors import AlignError
-from softmap_edge.geometry.rigid import Pose
+from softmap_edge.geometry.rigid import RigidPose
 from softmap_edge.robot.drive.recorded import open_run
 from softmap_edge.run.run import Run
 
@@ -93,7 +93,7 @@ def _like(args: argparse.Namespace, run: Run) -> int:
         raise AlignError(f"{args.like}: was not aligned; `softmap align` it first and give its output")
     if run.frame is not None:
         raise AlignError(f"{args.run}: is aligned already; give the run as it was recorded")
-    aligned = in_frame(run, Pose(other.frame[:, :3], other.frame[:, 3]), other.frame_sigma)
+    aligned = in_frame(run, RigidPose(other.frame[:, :3], other.frame[:, 3]), other.frame_sigma)
     aligned.save(args.out)
     document = {"schema": "softmap.align/1", "method": "like", "like": args.like, "run": args.run, "out": args.out}
     text = (

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from softmap_edge.commands.own import load_own, open_model
 from softmap_edge.commands.seeing import late, receiver
-from softmap_edge.comparison.live import Live, Now
+from softmap_edge.comparison.live import Live, LiveError
 from softmap_edge.errors import RunError, SoftmapError
 from softmap_edge.files.printable import printable, raw
 from softmap_edge.robot.control.follow import Following
@@ -77,7 +77,7 @@ def _begun(path: str) -> Following:
     return Following(path)
 
 
-def _summary(now: Now, effects: str, said: str) -> str:
+def _summary(now: LiveError, effects: str, said: str) -> str:
     lines = ["", f"{now}", f"worst frame {now.worst_mm:.2f} mm; effects of the model: {effects}; {said}"]
     if not now.frames:
         lines.append("nothing was compared: no frame came while the servos were heard")

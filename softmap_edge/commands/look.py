@@ -17,7 +17,7 @@ from softmap_edge.errors import SoftmapError, no_effect
 from softmap_edge.files.npz import write_npz
 from softmap_edge.files.numbers import WIDTH
 from softmap_edge.model.model import Model
-from softmap_edge.model.training_range import beyond
+from softmap_edge.model.training_range import command_extrapolation
 from softmap_edge.model.user_effect import template
 from softmap_edge.robot.drive.recorded import RECORDING, open_run
 from softmap_edge.run.run import Run
@@ -44,7 +44,7 @@ def predict(args: argparse.Namespace) -> int:
         if Path(args.input).suffix.lower() in (".npz", RECORDING)
         else _held(args.input, model)
     )
-    for note in beyond(model, run):
+    for note in command_extrapolation(model, run):
         print(f"softmap predict: {note}", file=sys.stderr)
     points = model.predict(run)
     tip = points[:, model.tip_indices].mean(axis=1)

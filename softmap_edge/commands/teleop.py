@@ -22,15 +22,21 @@ from softmap_edge.robot.teleop.drive import Drive
 from softmap_edge.robot.teleop.frames import UdpAddress, source
 from softmap_edge.robot.teleop.gesture import Rule
 from softmap_edge.robot.teleop.hand import HandMap, View
-from softmap_edge.robot.teleop.hand_source import CameraEyes, Eyes, FarEyes, NoEyes, camera_eyes
+from softmap_edge.robot.teleop.hand_source import (
+    CameraHandSource,
+    HandSource,
+    NullHandSource,
+    RemoteHandSource,
+    camera_hand_source,
+)
 from softmap_edge.robot.teleop.keys import Input
 from softmap_edge.robot.teleop.landmarks import Receiver, Sender
-from softmap_edge.robot.teleop.mapping import Aim, Direct, Tip
+from softmap_edge.robot.teleop.mapping import DirectMapping, HandMapping, TipMapping
 from softmap_edge.robot.teleop.model_file import fetch_model
 from softmap_edge.robot.teleop.page import PORT, Page
-from softmap_edge.robot.teleop.page_state import Shown
+from softmap_edge.robot.teleop.page_state import PageState
 from softmap_edge.robot.teleop.remote_sender import send
-from softmap_edge.robot.teleop.sketch import Sketch
+from softmap_edge.robot.teleop.sketch import ShapePreview
 from softmap_edge.robot.teleop.terminal import HELP, Terminal
 
 DONE, FAULT = 0, 1
@@ -86,13 +92,13 @@ def _drive(args: argparse.Namespace) -> int:
     flips = _flips(args.flip)
     with contextlib.ExitStack() as stack:
         eyes = stack.enter_context(_eyes(args, stack))
-        by_hand = not isinstance(eyes, NoEyes)
+        by_hand = not isinstance(eyes, NullHandSource)
         inputs: list[Input] = []
         page = None
         if args.page != "none":
             page = stack.enter_context(Page(_port(args.page), args.page_host, "hand" if by_hand else "knob"))
             inputs.append(page)
-        if isinstance(eyes, FarEyes):
+        if isinstance(eyes, RemoteHandSource):
             inputs.append(eyes)
         if (typed := terminal()) is not None:
             inputs.append(stack.enter_context(Terminal("hand" if by_hand else "knob", typed)))
@@ -102,7 +108,7 @@ def _drive(args: argparse.Namespace) -> int:
         bench = stack.enter_context(bench_of(args, whole, person=True))
         model = driven_model(args, bench.model)
         kinematics = Kinematics(model, axes="xy" if args.tip else "xyz")
-        aim: Aim = Tip(kinematics) if args.tip else Direct(kinematics)
+        aim: HandMapping = TipMapping(kinematics) if args.tip else DirectMapping(kinematics)
         stack.enter_context(contextlib.suppress(RecordingBroken))  # reported below, after the account
         robot = stack.enter_context(
             Controller(
@@ -113,7 +119,7 @@ def _drive(args: argparse.Namespace) -> int:
         show: Callable[[Any], None] | None = None
         if page is not None:
             about = {"source": "hand" if by_hand else "knob"}
-            shown = Shown(model, aim, eyes, Sketch(model, bench.calibration), about)
+            shown = PageState(model, aim, eyes, ShapePreview(model, bench.calibration), about)
             page.shows(shown.hello, shown.view)
             show = shown.take
             to_stderr(f"open {page.url}")
@@ -129,7 +135,7 @@ def _drive(args: argparse.Namespace) -> int:
         "effects": list(model.chain_names),
         "pictures": eyes.taken,
         "hands": eyes.hands,
-        "refused": eyes.refused if isinstance(eyes, FarEyes) else {},
+        "refused": eyes.refused if isinstance(eyes, RemoteHandSource) else {},
         **account.to_dict(),
         "command_age_us": robot.ended.get("command_age_us"),
         "record": args.record if robot.unrecorded is None else None,
@@ -139,15 +145,15 @@ def _drive(args: argparse.Namespace) -> int:
     return FAULT if account.failed else DONE
 
 
-def _eyes(args: argparse.Namespace, stack: contextlib.ExitStack) -> Eyes:
+def _eyes(args: argparse.Namespace, stack: contextlib.ExitStack) -> HandSource:
     view = View(args.hand, args.mirrored)
     if args.camera == "none":
-        return NoEyes()
+        return NullHandSource()
     what = source(args.camera)
     if isinstance(what, UdpAddress):
         receiver = stack.enter_context(Receiver(what.host, what.port, _key(args, "--camera udp://")))
-        return FarEyes(receiver, view)
-    return camera_eyes(what, args.model, view)
+        return RemoteHandSource(receiver, view)
+    return camera_hand_source(what, args.model, view)
 
 
 def _send(args: argparse.Namespace) -> int:
@@ -159,7 +165,9 @@ def _send(args: argparse.Namespace) -> int:
         raise TeleopError(f"--send: --camera {args.camera} gives no pictures; give a camera, or a video")
     key = _key(args, "--send")
     with contextlib.ExitStack() as stack:
-        eyes: CameraEyes = stack.enter_context(camera_eyes(what, args.model, View(args.hand, args.mirrored)))
+        eyes: CameraHandSource = stack.enter_context(
+            camera_hand_source(what, args.model, View(args.hand, args.mirrored))
+        )
         sender = stack.enter_context(Sender(there.host, there.port, key))
         typed = terminal()
         keys = None if typed is None else stack.enter_context(Terminal("hand", typed))

@@ -181,7 +181,7 @@ def remove(args: argparse.Namespace) -> int:
     rest = tuple(n for n in model.chain_names if n not in gone)
     params = {label: v for label, v in model.params.items() if label.split(".")[0] in rest}
     law = model.changes(gone) and not model.changes(rest)
-    numbers = {"numbers": "restored" if model.restorable else "kept"} if law else {}
+    numbers = {"numbers": "restored" if model.has_earlier_numbers else "kept"} if law else {}
     dropped = {} if RESIDUAL in names else _dropped(model)
     return _write(args, model.with_effects(rest, params), {"removed": names} | numbers | dropped)
 
@@ -236,18 +236,18 @@ def _refit_finger(args: argparse.Namespace) -> int:
 
 def warn_outside(verb: str, model: Any, run: Any) -> None:
     """Tell on stderr, beside any document, where a run leaves the commands or the frame of the model."""
-    from softmap_edge.model.training_range import beyond, elsewhere
+    from softmap_edge.model.training_range import command_extrapolation, out_of_reach
     from softmap_edge.run.plane import plane_of
 
     plane = plane_of(run)
     flat = [] if plane is None else [f"{plane}; no effect across it is tested"]
-    for note in [*beyond(model, run), *elsewhere(model, run), *flat]:
+    for note in [*command_extrapolation(model, run), *out_of_reach(model, run), *flat]:
         print(f"softmap {verb}: {note}", file=sys.stderr)
 
 
 def _doubt(verb: str, model: Any, run: Any) -> None:
     """Tell on stderr what a diagnosis would set aside of a run, or refuse: a comparison takes it as it is."""
-    from softmap_edge.diagnosis.clean import sound
+    from softmap_edge.diagnosis.clean import clean_run
 
     commands = model.commands(run)
     if (commands == commands[:1]).all():
@@ -255,7 +255,7 @@ def _doubt(verb: str, model: Any, run: Any) -> None:
             f"softmap {verb}: the commands never change in this run, so it does not show their effect", file=sys.stderr
         )
     try:
-        remarks: tuple[str, ...] = tuple(sound(model, run).remarks)
+        remarks: tuple[str, ...] = tuple(clean_run(model, run).remarks)
     except SoftmapError as fault:
         remarks = (str(fault),)
     for remark in remarks:

@@ -38,7 +38,7 @@ FRESH = 64  # frames that are compared at a time, the newest: what a slow comput
 
 
 @dataclass(frozen=True)
-class Now:
+class LiveError:
     """Errors in mm (RMS over points; NaN where no frame was) now, over the last `RECENT` s and since the beginning."""
 
     seconds: float
@@ -126,7 +126,7 @@ class Live:
         """Take the frames that a camera keeps; those that were taken before count once."""
         self._waiting.extend(self._clock.add(frames))
 
-    def compared(self) -> Now:
+    def compared(self) -> LiveError:
         """Compare what can be compared now, and return how far off the model is."""
         if self._waiting and len(self._t) > 1:
             taken = self._clock.times(self._waiting) - self._begun
@@ -138,7 +138,7 @@ class Live:
         end = float(self._t[-1]) if len(self._t) else 0.0
         while self._errors and self._errors[0][0] < end - RECENT:
             self._errors.popleft()
-        return Now(
+        return LiveError(
             seconds=end,
             frames=self._frames,
             now_mm=self._since(end - NOW),

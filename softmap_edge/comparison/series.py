@@ -28,7 +28,7 @@ POSES = 5  # drawn of a run
 
 
 @dataclass(frozen=True, eq=False)
-class Pose:
+class ExamplePose:
     """One measured frame, to be drawn: its points (N, 3) mm, NaN where unseen, and their errors (N,) mm."""
 
     frame: int
@@ -71,7 +71,7 @@ class Series:
     tip_after: Floats | None  # (K, 3)
     command: Floats  # (K, C) at the frames
     command_unit: str
-    poses: list[Pose]
+    poses: list[ExamplePose]
     output: Output | None = None  # meaning of the markers, where they are no places
     loops: tuple[Loop, ...] = ()  # each output, or the tip along each command
     timeless: bool = False  # `t_seen` counts rows
@@ -199,7 +199,7 @@ def _drawn(model: Model, seen: Floats, visible: Mask) -> tuple[Floats, NDArray[n
     return seen.sum(axis=0) / count[:, None], None
 
 
-def _poses(command: Floats, seen: Floats, visible: Mask, before: Floats, after: Floats | None) -> list[Pose]:
+def _poses(command: Floats, seen: Floats, visible: Mask, before: Floats, after: Floats | None) -> list[ExamplePose]:
     """Return frames whose commands lie far apart, of those in which most is seen; squares (K, N) mm² become errors."""
     count = visible.sum(axis=1)
     whole = np.flatnonzero(count >= 0.9 * count.max())
@@ -216,4 +216,6 @@ def _poses(command: Floats, seen: Floats, visible: Mask, before: Floats, after: 
 
     frames = sorted(int(whole[i]) for i in chosen)
     points = [np.where(visible[k][:, None], seen[k], np.nan) for k in frames]
-    return [Pose(k, p, shown(before, k), None if after is None else shown(after, k)) for k, p in zip(frames, points)]
+    return [
+        ExamplePose(k, p, shown(before, k), None if after is None else shown(after, k)) for k, p in zip(frames, points)
+    ]

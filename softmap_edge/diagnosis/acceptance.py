@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from softmap_edge.diagnosis import decision as rule
 from softmap_edge.diagnosis.decision import difference, near, seen_to_fall
-from softmap_edge.diagnosis.families import RIDGES, Body, Family, Ranking, Representative, State, families
+from softmap_edge.diagnosis.families import RIDGES, Family, FeatureBody, Ranking, Representative, State, families
 from softmap_edge.diagnosis.laws import WINDING, Answer
 from softmap_edge.diagnosis.record import Record
 
@@ -25,7 +25,7 @@ ASKED = 3  # near families whose laws are tried
 SIMPLER = {"static": 1, "memory": 2, "condition": 2, "time": 3}  # order in which near families are taken
 
 
-def falls_on(before: Floats, after: Floats, body: Body, share: float | None = None, laws: bool = False) -> bool:
+def falls_on(before: Floats, after: Floats, body: FeatureBody, share: float | None = None, laws: bool = False) -> bool:
     """Whether a loss (folds,) is seen to fall, by a `share` of what stood above the noise, FALL_NEXT by default.
 
     Where the loss is no more than noise, the noise is estimated too large or nothing is missing. Then the share is of
@@ -37,7 +37,7 @@ def falls_on(before: Floats, after: Floats, body: Body, share: float | None = No
     return seen_to_fall(fall) and fall.fall >= max(least, (rule.FALL_NEXT if share is None else share) * above)
 
 
-def stands_out(loss: Floats, body: Body, laws: bool) -> bool:
+def stands_out(loss: Floats, body: FeatureBody, laws: bool) -> bool:
     """Whether a loss (folds,) is more than that of noise, and of the form of `laws` that were found before."""
     return float(loss.sum()) > body.problem.numbers * (rule.ABOVE_NOISE if laws else 1.0)
 
@@ -93,7 +93,7 @@ def beyond_ordinary(ranking: Ranking, state: State) -> bool:
     return _static_mm(ranking, state) >= rule.DOMINATES * ordinary_level(state.body)
 
 
-def ordinary_level(body: Body) -> float:
+def ordinary_level(body: FeatureBody) -> float:
     """Return the level of ordinary imperfections, mm RMS: static effects from `DOMINATES` times it are discoveries.
 
     A map that was learned from the robot itself has no imperfections of its own. So a single small change since then,
@@ -142,7 +142,7 @@ def motion_mm(record: Record) -> float:
     return record.rms_mm(record.seen - mean)
 
 
-def one_pose(body: Body) -> bool:
+def one_pose(body: FeatureBody) -> bool:
     """Whether the commands never change: one shape is seen, and two laws are one too many."""
     return not np.any(np.ptp(body.record.command, axis=0))
 

@@ -39,7 +39,7 @@ AGAINST = 9.0  # of the objective over the over-dispersion: three standard devia
 
 
 @dataclass(frozen=True)
-class Masked:
+class ResidualConfounds:
     """A residual taken out: its size on the run and what the effects found leave of it, the run's error with it and
     without, what it may be (share), and what of it the model's own error may be.
     """
@@ -80,7 +80,7 @@ class Masked:
         return f"{size}; no single effect explains the remaining {self.left_mm:.2f} mm RMS of it (fitted)"
 
 
-def masked(fits: Fits, fit: Fit) -> Masked | None:
+def masked(fits: Fits, fit: Fit) -> ResidualConfounds | None:
     """Return what the residual that was taken out may hide beside the effects of a fit; None without a residual."""
     record = fits.problem.record
     if record.static is None:
@@ -91,7 +91,7 @@ def masked(fits: Fits, fit: Fit) -> Masked | None:
     with_mm = record.rms_mm(record.seen - fits.null.predicted - record.static)
     own = max(VISIBLE_MM, OWN * record.form_mm)  # whatever the noise of this run: it was learned from another
     may_be = _may_be(fits, fit, left) if record.rms_mm(left) > own and with_mm < without else []
-    return Masked(size, record.rms_mm(left), with_mm, without, tuple(may_be), own)
+    return ResidualConfounds(size, record.rms_mm(left), with_mm, without, tuple(may_be), own)
 
 
 def _may_be(fits: Fits, fit: Fit, left: Floats) -> list[tuple[str, float]]:

@@ -31,7 +31,7 @@ from math import comb
 import numpy as np
 from numpy.typing import NDArray
 
-from softmap_edge.diagnosis.families import Body, Representative, State, families
+from softmap_edge.diagnosis.families import FeatureBody, Representative, State, families
 from softmap_edge.diagnosis.findings import Certificate
 from softmap_edge.diagnosis.fit import Fit, Problem
 from softmap_edge.diagnosis.outcome import Outcome
@@ -96,7 +96,7 @@ class _Evidence:
 
     def __init__(self, outcome: Outcome, fit: Fit, kept: Withheld) -> None:
         self.outcome, self.fit, self.beside = outcome, fit, list(outcome.state.beside)
-        self.body = Body(_split(outcome, kept), outcome.fits.candidates)
+        self.body = FeatureBody(_split(outcome, kept), outcome.fits.candidates)
         self.chi2, _, chosen = self._chi2(fit, self.beside)
         share = len(kept.chosen) / len(outcome.body.record)
         scale = chosen / max(1.0, share * outcome.body.problem.numbers - len(fit.x))

@@ -26,8 +26,16 @@ from numpy.typing import NDArray
 
 from softmap_edge import _core
 from softmap_edge.checks.lost_points import without_lost
-from softmap_edge.checks.match import FOLLOWED, MOTION, belongs, declared, follows, spread, still
-from softmap_edge.checks.remembered import catches_up, remembered
+from softmap_edge.checks.match import (
+    FOLLOWED,
+    MOTION,
+    check_run_matches_model,
+    declaration_remarks,
+    followed_share,
+    not_following,
+    spread,
+)
+from softmap_edge.checks.remembered import catches_up, memory_share
 from softmap_edge.diagnosis.record import Record
 from softmap_edge.diagnosis.records import record_of
 from softmap_edge.errors import RunError
@@ -64,7 +72,7 @@ UNSEEN = 0.2  # of the points that may never be seen before a word is said
 
 
 @dataclass(frozen=True)
-class Sound:
+class CleanRun:
     """A run without what is no measurement, and what is to be said about the run."""
 
     run: Run
@@ -72,7 +80,7 @@ class Sound:
     doubts: tuple[str, ...] = ()  # those of the remarks without which no effect can be believed
 
 
-def sound(model: Model, run: Run) -> Sound:
+def clean_run(model: Model, run: Run) -> CleanRun:
     """Set aside what a fit must not see, and refuse a run that no fit could use.
 
     Args:
@@ -94,7 +102,7 @@ def sound(model: Model, run: Run) -> Sound:
             f"no point is visible in any of the {run.frames} frames; check `visible`, or the mapping of the markers"
         )
     u = model.commands(run)
-    remarks, keep = [*lost, *declared(model, run)], np.ones(run.frames, bool)
+    remarks, keep = [*lost, *declaration_remarks(model, run)], np.ones(run.frames, bool)
     remarks += _sigma(run)
     for frames, text in _frames(model, run, u, seen, visible):
         remarks.append(f"{int(frames.sum())} of {run.frames} frames {text}" if frames.any() else text)
@@ -104,7 +112,7 @@ def sound(model: Model, run: Run) -> Sound:
     part = run if keep.all() else run.at(keep)
     seen, visible = seen[keep], visible[keep]
     predicted = np.asarray(model.predict(part), float)
-    doubts = belongs(model, part, seen, visible, predicted)
+    doubts = check_run_matches_model(model, part, seen, visible, predicted)
     remarks += doubts
     shown = visible.copy()
     length = float(np.linalg.norm(model.rest, axis=1).max())
@@ -117,12 +125,12 @@ def sound(model: Model, run: Run) -> Sound:
             f"{never} of {visible.shape[1]} points are never seen: what acts there only is not tested; "
             "turn a camera to them, or add one"
         )
-    return Sound(
+    return CleanRun(
         part if bool((shown == visible).all()) else replace(part, visible=shown), tuple(remarks), tuple(doubts)
     )
 
 
-def sound_record(
+def clean_record(
     model: Model, run: Run | Sequence[Run], library: Any = None, reference: Run | Sequence[Run] | None = None
 ) -> tuple[Record, list[str]]:
     """Bind a model to what is sound of one run or several, which stay `whole` in the record; return it with remarks.
@@ -131,21 +139,21 @@ def sound_record(
     are.
 
     Raises:
-        SoftmapError: as `sound` and `record_of`.
+        SoftmapError: as `clean_run` and `record_of`.
     """
     given = list(run) if isinstance(run, Sequence) else [run]
     if library is not None:
         return record_of(model, given, library, reference), []
-    parts = [sound(model, one) for one in given]
+    parts = [clean_run(model, one) for one in given]
     several = reference if isinstance(reference, Sequence) else [] if reference is None else [reference]
-    record = record_of(model, [p.run for p in parts], None, [sound(model, one).run for one in several] or None)
+    record = record_of(model, [p.run for p in parts], None, [clean_run(model, one).run for one in several] or None)
     record.whole = tuple(without_lost(one)[0] for one in given)
     record.doubts = tuple(dict.fromkeys(text for p in parts for text in p.doubts))
     told = [(f"run {i}: " if len(parts) > 1 else "") + text for i, p in enumerate(parts, 1) for text in p.remarks]
     return record, told
 
 
-def stray(record: Record, predicted: Floats) -> str | None:
+def commands_not_followed(record: Record, predicted: Floats) -> str | None:
     """Report points that do not move, or do not move as commanded, whatever a fit allows for."""
     seen = record.seen.reshape(len(record), -1, 3)[:, record.positions]
     left = seen - predicted.reshape(len(record), -1, 3)[:, record.positions]
@@ -155,11 +163,11 @@ def stray(record: Record, predicted: Floats) -> str | None:
     if record.replay is not None:
         return None
     expected = record.predict(record.model.chain_names, record.own()[None])[0].reshape(len(record), -1, 3)
-    if at_rest := still(seen, visible, expected[:, record.positions], seen - left, length):
+    if at_rest := not_following(seen, visible, expected[:, record.positions], seen - left, length):
         return at_rest
     if moved < MOTION * length:
         return None
-    share = follows(left, seen, visible)
+    share = followed_share(left, seen, visible)
     if share > FOLLOWED or _remembers(record):
         return None
     dead = [str(c) for c in np.flatnonzero(~(record.spread > 0))]
@@ -182,7 +190,7 @@ def _remembers(record: Record) -> bool:
             return False
         few = part.run.at(part.spread_rows(REMEMBERED))
         points = np.asarray(record.model.points_in_mm(few), float)
-        if not remembered(record.model, few, points, known(few, points)).share > FOLLOWED:
+        if not memory_share(record.model, few, points, known(few, points)).share > FOLLOWED:
             return False
     return True
 
@@ -255,7 +263,7 @@ def _untaught(model: Model, run: Run) -> Mask:
     coverage = getattr(model, "coverage", None)
     if coverage is None or not isinstance(model.prior, _core.Rod):
         return np.zeros(run.frames, bool)
-    outside = np.asarray(coverage.outside(model.acts(run)), np.bool_)
+    outside = np.asarray(coverage.outside(model.effective_commands(run)), np.bool_)
     return outside if 2 * outside.sum() < run.frames else np.zeros(run.frames, bool)
 
 

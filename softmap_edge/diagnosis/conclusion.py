@@ -14,15 +14,15 @@ from numpy.typing import NDArray
 
 from softmap_edge.checks.collinear import collinear_conditions
 from softmap_edge.diagnosis import decision as rule
-from softmap_edge.diagnosis.behind_residual import Masked
+from softmap_edge.diagnosis.behind_residual import ResidualConfounds
 from softmap_edge.diagnosis.certificate import Certified
 from softmap_edge.diagnosis.changing import Change, changing
 from softmap_edge.diagnosis.evidence import (
     by_condition,
     equivalents,
     ladder,
-    leftover,
     not_testable,
+    unexplained_structure,
 )
 from softmap_edge.diagnosis.families import families
 from softmap_edge.diagnosis.findings import (
@@ -66,7 +66,7 @@ class Context:
     demoted: Sequence[str] = ()
     impossible: Sequence[Untestable] = ()
     own: OwnMisfit | None = None
-    masked: Masked | None = None
+    masked: ResidualConfounds | None = None
     proof: Certified | None = None
 
 
@@ -89,7 +89,7 @@ def conclude(outcome: Outcome, fit: Fit, context: Context) -> dict[str, Any]:
     if record.remapped:  # the map that is solved again cancels parts of what stands in for a family
         ways = (residual, residual - outcome.state.ordinary, record.seen - fit.predicted)
         residual = min(ways, key=record.rms_mm)
-    left = replace(leftover(problem, residual, len(fit.x)), ordinary_mm=_ordinary_mm(outcome) or None)
+    left = replace(unexplained_structure(problem, residual, len(fit.x)), ordinary_mm=_ordinary_mm(outcome) or None)
     behind = [] if context.masked is None else context.masked.untestable(registry)
     hidden = [*behind, *context.impossible]
     hidden += [h for h in not_testable(fits, fit, registry) if h.name not in {b.name for b in hidden}]

@@ -20,15 +20,15 @@ from numpy.typing import NDArray
 
 from softmap_edge import _core
 from softmap_edge.alignment.base_motion import excluded
-from softmap_edge.checks.advice import asked
+from softmap_edge.checks.advice import missing_data
 from softmap_edge.diagnosis.acceptance import motion_mm
 from softmap_edge.diagnosis.behind_residual import masked
 from softmap_edge.diagnosis.certificate import certified
-from softmap_edge.diagnosis.clean import sound_record, stray
+from softmap_edge.diagnosis.clean import clean_record, commands_not_followed
 from softmap_edge.diagnosis.conclusion import Context, conclude
 from softmap_edge.diagnosis.decision import ORDINARY, UNKNOWN_TIMES, VISIBLE_MM
 from softmap_edge.diagnosis.document import Diagnosis, with_error
-from softmap_edge.diagnosis.evidence import equivalents, experiment, shown, unseen
+from softmap_edge.diagnosis.evidence import detectability, equivalents, experiment, unseen
 from softmap_edge.diagnosis.findings import Number, plain
 from softmap_edge.diagnosis.fit import Fit, Problem
 from softmap_edge.diagnosis.fits import Fits, carried
@@ -39,7 +39,7 @@ from softmap_edge.diagnosis.record import Record
 from softmap_edge.diagnosis.records import record_of
 from softmap_edge.diagnosis.search import search
 from softmap_edge.diagnosis.servo_lag import servos
-from softmap_edge.diagnosis.taught import Taught, with_unknown
+from softmap_edge.diagnosis.taught import TaughtRuns, with_unknown
 from softmap_edge.diagnosis.wording import OwnMisfit
 from softmap_edge.diagnosis.wrong_declarations import strange, wrong_load, wrong_sign
 from softmap_edge.errors import SoftmapError
@@ -96,13 +96,13 @@ def diagnose(
         SoftmapError: too few frames, unknown effects, a run of another robot, a reference of other commands.
     """
     _apart(run, held_out, reference)
-    record, remarks = sound_record(model, run, library, reference)
+    record, remarks = clean_record(model, run, library, reference)
     registry = {e["name"]: e for e in record.library.effects()}
     candidates, impossible = candidates_of(record, registry, effects)
     fixed = excluded(record.whole, record.bases, _reach(record), max(VISIBLE_MM, ORDINARY * motion_mm(record)))
     candidates = [name for name in candidates if name not in fixed]
     remarks += [text for name, text in fixed.items() if effects is None or name in effects]
-    teacher = Taught.by(model, list(run) if isinstance(run, Sequence) else [run])
+    teacher = TaughtRuns.by(model, list(run) if isinstance(run, Sequence) else [run])
     problem, outcome = _searched(record, candidates, progress, teacher)
     held = teacher.hidden(record, candidates)
     candidates, impossible = [n for n in candidates if n not in {h.name for h in held}], [*impossible, *held]
@@ -122,7 +122,7 @@ def diagnose(
     context = Context(other, demoted, impossible, own, masked(outcome.fits, fit), proof)
     gone = None  # a static map follows the runs that taught it as far as it can
     if not record.remapped:
-        gone = stray(record, outcome.state.predicted if outcome.state.beside else fit.predicted)
+        gone = commands_not_followed(record, outcome.state.predicted if outcome.state.beside else fit.predicted)
     values = conclude(outcome, fit, context)
     if gone is None:
         loaded = any(run.load is not None and np.any(run.load) for run in record.whole)
@@ -142,7 +142,7 @@ def diagnose(
     remarks += [str(teacher)] if teacher.runs else []
     values["next"] = (*(teacher.next(values["effects"]) if record.remapped else ()), *values["next"])
     whole = [converted(model, run) for run in record.whole]
-    remarks += [] if library is not None else asked(whole, len(record), problem.noise.replicates)
+    remarks += [] if library is not None else missing_data(whole, len(record), problem.noise.replicates)
     encoded = [run for run in whole if run.present is not None] if library is None else []
     behind = servos(encoded[0], [*candidates, *record.model.chain_names]) if encoded else []
     found = with_error(found, values["effects"])
@@ -182,7 +182,7 @@ def refit(model: Model, run: Run | Sequence[Run], library: Any = None) -> tuple[
     own = tuple(model.chain_names)
     if not own:
         raise SoftmapError("the model has no effects to refit; `softmap diagnose` finds out which it lacks")
-    record, _ = sound_record(model, run, library)
+    record, _ = clean_record(model, run, library)
     problem = problem_of(record, list(own))
     space = problem.space(own, free=own)
     now = space.scaled(record.own()[space.free])
@@ -231,11 +231,11 @@ def showing(model: Model, run: Run, library: Any = None) -> list[dict[str, Any]]
     Raises:
         SoftmapError: as `diagnose`.
     """
-    record, _ = sound_record(model, run, library)
+    record, _ = clean_record(model, run, library)
     registry = {e["name"]: e for e in record.library.effects()}
     candidates, impossible = candidates_of(record, registry, None)
     problem = problem_of(record, candidates)
-    seen = {name: shown(problem, name) for name in candidates}
+    seen = {name: detectability(problem, name) for name in candidates}
     size = {name: float(np.linalg.norm(white)) for name, (_, white) in seen.items()}
     keys = ("name", "shows", "moved_mm", "deviations", "why", "alike", "experiment", "minutes")
     rows: list[tuple[Any, ...]] = [(h.name, False, None, None, h.why, [], h.experiment, h.minutes) for h in impossible]
@@ -252,7 +252,7 @@ def showing(model: Model, run: Run, library: Any = None) -> list[dict[str, Any]]
 
 
 def _searched(
-    record: Record, candidates: Sequence[str], progress: Callable[[str], None] | None, teacher: Taught
+    record: Record, candidates: Sequence[str], progress: Callable[[str], None] | None, teacher: TaughtRuns
 ) -> tuple[Problem, Outcome]:
     """Search a record for what its model lacks.
 
@@ -288,7 +288,7 @@ def _again(model: Model, runs: Sequence[Run], candidates: Sequence[str], library
 def _validation(model: Model, held_out: Run, library: Any, reference: Run | Sequence[Run] | None) -> Record:
     """Return the run that nothing is fitted to, relative to a reference if the others are."""
     try:
-        return sound_record(model, held_out, library, reference)[0]
+        return clean_record(model, held_out, library, reference)[0]
     except SoftmapError as fault:
         if reference is None:
             raise

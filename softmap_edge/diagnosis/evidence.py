@@ -3,7 +3,7 @@
 Ladder: RMS distance in mm over the places (section centroids or markers), always on frames that took no part in the
 fit: blocks of time, or an independent run. The static baseline is a ridge on a polynomial of the command. It is the
 limit of a corrector without memory or physics.
-Testability: whitened size of an effect's signature at a typical strength (see `strongest`) on this run.
+Testability: whitened size of an effect's signature at a typical strength (see `typical_difference`) on this run.
 Units: mm. Known limit: the ridge detects smooth dependence on these conditions, not single events. Pinned by
 tests/diagnosis/test_diagnosis.py and tests/diagnosis/test_evidence.py.
 """
@@ -60,16 +60,16 @@ def not_testable(fits: Fits, fit: Fit, registry: dict[str, dict[str, Any]]) -> l
     for name in fits.candidates:
         if name in fit.effects:
             continue
-        moved, white = shown(problem, name)
+        moved, white = detectability(problem, name)
         why = unseen(moved, float(np.linalg.norm(white)) / np.sqrt(fits.dispersion(fit)))
         if why is not None:
             found.append(Untestable(name, why, *experiment(registry, name)))
     return found
 
 
-def shown(problem: Problem, name: str) -> tuple[float, Floats]:
+def detectability(problem: Problem, name: str) -> tuple[float, Floats]:
     """Return the size of an effect of typical strength: mm RMS of the centreline, and its whitened signature (n,)."""
-    signature = np.where(np.isfinite(problem.record.seen), strongest(problem, name), np.nan)
+    signature = np.where(np.isfinite(problem.record.seen), typical_difference(problem, name), np.nan)
     return problem.record.rms_mm(signature), problem.white(problem.whitener.modes(signature) * problem.gain)
 
 
@@ -82,7 +82,7 @@ def unseen(moved: float, size: float) -> str | None:
     return None
 
 
-def strongest(problem: Problem, name: str) -> Floats:
+def typical_difference(problem: Problem, name: str) -> Floats:
     """Return the feature difference (K, F) mm of an effect at a typical strength.
 
     This strength is half-way from null to the end of its range. On a logarithmic scale it is the start, or half-way up
@@ -104,7 +104,7 @@ def strongest(problem: Problem, name: str) -> Floats:
 # --- what is left -------------------------------------------------------------------------------
 
 
-def leftover(problem: Problem, residual: Floats, numbers: int) -> Unexplained:
+def unexplained_structure(problem: Problem, residual: Floats, numbers: int) -> Unexplained:
     """Look for structure in the unexplained error (K, F) mm after fitting so many numbers."""
     record = problem.record
     white = problem.whitener.shrink(problem.whitener.modes(residual) * problem.gain)

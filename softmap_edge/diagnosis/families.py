@@ -133,7 +133,7 @@ class Representative:
         return float(self.loss.sum())
 
 
-class Body:
+class FeatureBody:
     """What level 1 needs of a problem: effective commands to features, and the columns of each family."""
 
     def __init__(self, problem: Problem, candidates: Sequence[str]) -> None:
@@ -338,7 +338,7 @@ class State:
 
     def __init__(
         self,
-        body: Body,
+        body: FeatureBody,
         fit: Fit,
         beside: Sequence[Representative] = (),
         background: Sequence[Family] = (),
@@ -419,7 +419,7 @@ class State:
         return out
 
 
-def applied(body: Body, one: Representative, commands: Commands) -> tuple[Commands, Floats]:
+def applied(body: FeatureBody, one: Representative, commands: Commands) -> tuple[Commands, Floats]:
     """Return effective commands behind a representative, and what it adds to the features (K, F) mm."""
     bank = _core.Bank(one.family.name, len(body.half))
     acting = np.ascontiguousarray(one.theta[: one.columns.commanded])
@@ -539,7 +539,7 @@ def ranked(state: State, every: Sequence[Family], taken: Sequence[Family], withi
 
 
 def _static(
-    body: Body, level: _core.Level, names: list[str], ridges: list[float], rows: Sequence[Representative]
+    body: FeatureBody, level: _core.Level, names: list[str], ridges: list[float], rows: Sequence[Representative]
 ) -> Floats:
     """Return what all static families explain together, (K, F) mm."""
     static = [row for row in rows if row.family.kind == "static"]

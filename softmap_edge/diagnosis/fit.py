@@ -158,7 +158,7 @@ class Fit:
 
 
 @dataclass(frozen=True)
-class Told:
+class ProjectedFeatures:
     """What is seen as modes (K, M), and by itself the frames, `rows` (R,), of which some features are not seen."""
 
     modes: Floats
@@ -177,7 +177,7 @@ class Problem:
         seen = np.isfinite(record.seen).mean(axis=1)  # a frame that shows a third of the body counts a third
         self.numbers = float(seen.sum() * whitener.numbers) / noise.inflation
         self.folds = run_folds(record.t_seen, record.block)
-        self._seen: tuple[Floats, Told | None] | None = None
+        self._seen: tuple[Floats, ProjectedFeatures | None] | None = None
         self._spaces: dict[tuple[tuple[str, ...], ...], Space] = {}
 
     def modes(self, predicted: Floats) -> Floats:
@@ -218,7 +218,7 @@ class Problem:
         """What predicts modes without features."""
         return self.record.forms(self._weights)
 
-    def _told(self) -> Told | None:
+    def _told(self) -> ProjectedFeatures | None:
         """Return the modes of what is seen, found anew where that was exchanged; None where much is not seen."""
         seen = self.record.seen
         if self._seen is None or self._seen[0] is not seen:
@@ -227,7 +227,7 @@ class Problem:
             told = None
             if len(rows) <= HALF_SEEN * len(seen):
                 few = None if whole.all() else self.record.some(rows)
-                told = Told(np.where(whole[:, None], seen, 0.0) @ self._weights, rows, few)
+                told = ProjectedFeatures(np.where(whole[:, None], seen, 0.0) @ self._weights, rows, few)
             self._seen = seen, told
         return self._seen[1]
 

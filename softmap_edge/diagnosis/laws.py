@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 from softmap_edge.diagnosis import decision as rule
 from softmap_edge.diagnosis.families import (
     CURVES,
-    Body,
     Columns,
     Commands,
     Family,
+    FeatureBody,
     Representative,
     State,
     about_itself,
@@ -172,7 +172,7 @@ class _Asked:
 
     def __init__(self, state: State, fits: Fits, representative: Representative, before: Floats) -> None:
         self.state, self.fits, self.representative, self.before = state, fits, representative, before
-        self.body: Body = state.body
+        self.body: FeatureBody = state.body
         static = representative.family.kind == "static"
         self.form = rule.form_of(static, representative.moved_mm, self.body.ordinary_mm)
 
@@ -301,7 +301,7 @@ class _Asked:
         return WINDING in law.effects and (law.effects != (WINDING,) or not winds(law, self.body))
 
 
-def winds(law: Law, body: Body) -> bool:
+def winds(law: Law, body: FeatureBody) -> bool:
     """Whether the eccentric pulley of a law makes a full turn within the commands, or its radius is known."""
     assert law.fit is not None
     turns = np.pi * law.fit.params[f"{WINDING}.radius"] <= float(np.median(body.half))

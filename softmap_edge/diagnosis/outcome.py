@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.diagnosis import decision as rule
-from softmap_edge.diagnosis.families import Body, Family, Representative, State, ranked
+from softmap_edge.diagnosis.families import Family, FeatureBody, Representative, State, ranked
 from softmap_edge.diagnosis.fit import Fit, Problem
 from softmap_edge.diagnosis.fits import Fits
 from softmap_edge.diagnosis.laws import Answer, capped_at_events
@@ -39,7 +39,7 @@ class Step:
 class Outcome:
     """What a search found: its steps in order, the joint fit with the representatives alongside, and a hint at more."""
 
-    body: Body
+    body: FeatureBody
     fits: Fits
     plain: Fits  # without the representatives
     state: State

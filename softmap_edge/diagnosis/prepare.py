@@ -43,7 +43,7 @@ def candidates_of(
         names = [n for n in names if acts_on_outputs(registry[n])]
     if not names:
         raise SoftmapError("no effect is left to look for: the model already has every candidate")
-    lawless = [n for n in names if registry[n]["role"] == "prior" and record.model.lacking(n)]
+    lawless = [n for n in names if registry[n]["role"] == "prior" and record.model.missing_for(n)]
     if wanted is None:  # a law that the prior does not have is no question, unless it is asked
         names = [n for n in names if n not in lawless]
     impossible = []
@@ -63,7 +63,7 @@ def candidates_of(
             impossible.append(
                 Untestable(name, why, "a model learned with a robot.toml whose tendons push", of_model=True)
             )
-        elif lacking := record.model.lacking(name):
+        elif lacking := record.model.missing_for(name):
             why = f"this model has no field {lacking[0]}"
             impossible.append(Untestable(name, why, "a model built from a finger.toml by this version", of_model=True))
         elif name == "twist" and not record.roll_seen:

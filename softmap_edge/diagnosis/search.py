@@ -19,9 +19,9 @@ from softmap_edge.diagnosis import decision as rule
 from softmap_edge.diagnosis.decision import difference, near, seen_to_fall
 from softmap_edge.diagnosis.families import (
     RIDGES,
-    Body,
     Columns,
     Family,
+    FeatureBody,
     Ranking,
     Representative,
     State,
@@ -55,7 +55,7 @@ def search(
     tell = progress or (lambda _: None)
     visible = rule.VISIBLE_MM if visible is None else visible
     more = partial(_one_by_one, tell=tell, visible=visible)
-    body, fits = Body(problem, candidates), Fits(problem, candidates)
+    body, fits = FeatureBody(problem, candidates), Fits(problem, candidates)
     state = State(body, fits.null)
     null = ranked(state, [], []).found
     outcome = Outcome(body, fits, fits, state, null, null)

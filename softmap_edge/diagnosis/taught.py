@@ -31,7 +31,7 @@ AGAIN = "`softmap learn` without --static: the memory has bent the static map, s
 
 
 @dataclass(frozen=True)
-class Taught:
+class TaughtRuns:
     """Which of `count` runs taught the model (numbers from 1), whether it was learned with --static, and with what.
 
     A polynomial is a `free` map that follows any static effect. The rod of a `robot.toml` follows few of them, so
@@ -45,7 +45,7 @@ class Taught:
     learned_in: tuple[str, ...] = ()
 
     @classmethod
-    def by(cls, model: Model, runs: Sequence[Run]) -> Taught:
+    def by(cls, model: Model, runs: Sequence[Run]) -> TaughtRuns:
         """Find which runs taught a model; none of them if it was not learned from runs."""
         made_from = getattr(model, "made_from", {})
         if not made_from.get("runs"):
@@ -99,7 +99,7 @@ class Taught:
         return [NextBlock(AGAIN, 0.0, tuple(one.name for one in found))] if self.static and found else []
 
 
-def with_unknown(model: Model, values: Mapping[str, Any], teacher: Taught) -> dict[str, Any]:
+def with_unknown(model: Model, values: Mapping[str, Any], teacher: TaughtRuns) -> dict[str, Any]:
     """Return the changes to a diagnosis that named nothing, if `learn` detected a memory without a law.
 
     The error of a learned model is part of its noise, and such a memory is part of this error. In the runs that taught

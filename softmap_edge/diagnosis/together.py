@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from softmap_edge.diagnosis import acceptance
 from softmap_edge.diagnosis import decision as rule
 from softmap_edge.diagnosis.decision import near
-from softmap_edge.diagnosis.families import Body, Family, Ranking, Representative, State, families, home, ranked
+from softmap_edge.diagnosis.families import Family, FeatureBody, Ranking, Representative, State, families, home, ranked
 from softmap_edge.diagnosis.fits import Fits
 from softmap_edge.diagnosis.laws import WINDING, Answer, Law, answered, law_of, winds
 from softmap_edge.diagnosis.outcome import Outcome, Step, held_out_loss
@@ -234,7 +234,7 @@ def _reached(answer: Answer, name: str) -> Answer:
     return replace(answer, law=law, equals=(), open=False, reaching=(law,)) if law is first or simpler else answer
 
 
-def _without_map(body: Body, fits: Fits, names: Collection[str]) -> State:
+def _without_map(body: FeatureBody, fits: Fits, names: Collection[str]) -> State:
     """Return the state with the laws that are neither static nor drifts: those change a map, together."""
     kinds = {e: family.kind for e in names if (family := home(e)) is not None}
     return State(body, fits.get([e for e in names if kinds.get(e) not in ("static", "time")]))
@@ -303,7 +303,7 @@ def _best_singles(null: State, fits: Fits, before: Floats) -> dict[Family, Law]:
     return firsts
 
 
-def _more_laws(few: Law, body: Body, fits: Fits) -> Law | None:
+def _more_laws(few: Law, body: FeatureBody, fits: Fits) -> Law | None:
     """Return a set of laws with the laws of more families that lower its loss enough, or None."""
     found = few
     while len(found.effects) < acceptance.MOST:

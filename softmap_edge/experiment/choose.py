@@ -27,7 +27,7 @@ from softmap_edge.diagnosis.evidence import DETECTABLE, experiment
 from softmap_edge.diagnosis.separate import separating
 from softmap_edge.errors import SoftmapError
 from softmap_edge.experiment.blocks import Block, plan
-from softmap_edge.experiment.simulate import Question, World
+from softmap_edge.experiment.simulate import OpenQuestion, Outcomes
 from softmap_edge.run.protocol import Limits, Protocol
 from softmap_edge.run.run import Run
 
@@ -53,7 +53,7 @@ class Experiment:
     settles: list[str]
     separation: float | None
     plan: Protocol | None = None
-    answers: tuple[tuple[Question, float], ...] = ()
+    answers: tuple[tuple[OpenQuestion, float], ...] = ()
     alone: str = ""  # why its run is to be diagnosed without the earlier ones, if so
 
     def to_dict(self) -> dict[str, Any]:
@@ -65,7 +65,7 @@ class Experiment:
             "separation": None if self.separation is None else float(f"{self.separation:.4g}"),
         }
 
-    def settled(self) -> list[Question]:
+    def settled(self) -> list[OpenQuestion]:
         """Return the questions that it settles, rivals first."""
         found = [(q, s) for q, s in self.answers if s >= SETTLED]
         return [q for q, _ in sorted(found, key=lambda pair: (pair[0].hidden is not None, -pair[1]))]
@@ -107,7 +107,7 @@ def next_experiment(
     if model.channels == 0:
         raise SoftmapError("the model takes no commands, so no block of commands can settle anything")
     limits = limits or Limits.of(model.command_range, model.command_unit)
-    world = World(model, diagnosis, list(runs), library, references)
+    world = Outcomes(model, diagnosis, list(runs), library, references)
     found = []
     blocks = world.blocks(limits) if world.questions else []
     for i, block in enumerate(blocks):
@@ -139,12 +139,12 @@ def program(experiments: Sequence[Experiment], minutes: float = BUDGET) -> list[
     return taken
 
 
-def _between_families(questions: Sequence[Question]) -> list[Question]:
+def _between_families(questions: Sequence[OpenQuestion]) -> list[OpenQuestion]:
     """Return the questions between two families of effects: these are settled before those between laws."""
     return [question for question in questions if question.families is not None]
 
 
-def _worth(experiments: Sequence[Experiment], questions: Sequence[Question]) -> dict[Experiment, float]:
+def _worth(experiments: Sequence[Experiment], questions: Sequence[OpenQuestion]) -> dict[Experiment, float]:
     """Return what each experiment is worth for some questions."""
     worth = dict.fromkeys(experiments, 0.0)
     for question in questions:
@@ -154,7 +154,7 @@ def _worth(experiments: Sequence[Experiment], questions: Sequence[Question]) -> 
     return worth
 
 
-def _experiment(world: World, block: Block, made: Protocol, answers: list[tuple[Question, float]]) -> Experiment:
+def _experiment(world: Outcomes, block: Block, made: Protocol, answers: list[tuple[OpenQuestion, float]]) -> Experiment:
     bare = Experiment(block.name, made.minutes, [], None, made, tuple(answers))
     names = list(dict.fromkeys(name for q in bare.settled() for name in q.names))
     first = next((s for q, s in answers if q in bare.settled()[:1]), None)
@@ -164,7 +164,7 @@ def _experiment(world: World, block: Block, made: Protocol, answers: list[tuple[
     return replace(bare, settles=names, separation=first, alone=alone if missing else "")
 
 
-def _rest(world: World, questions: Sequence[Question]) -> list[Experiment]:
+def _rest(world: Outcomes, questions: Sequence[OpenQuestion]) -> list[Experiment]:
     """Return, for what no block settles, what the library says would show it."""
     rows: dict[str, Experiment] = {}
     tried = set(world.questions)

@@ -1,7 +1,7 @@
 """What a diagnosis left open, and what each answer would look like in a block of commands that is not recorded yet.
 
-A `World` holds the questions, the fitted parameters of each answer, the noise and the old runs; `answers` simulates a
-block and says what the wrong answer would leave of the right one (`choose.py` has the formula). Predictions are those
+`Outcomes` holds the questions, the fitted parameters of each answer, the noise and the old runs; `answers` simulates
+a block and says what the wrong answer would leave of the right one (`choose.py` has the formula). Predictions are those
 of the diagnosis itself: records, noise and form error, whitened features, bounded fits. Pinned by
 tests/experiment/test_next_experiment.py.
 """
@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from softmap_edge.diagnosis.clean import sound
+from softmap_edge.diagnosis.clean import clean_run
 from softmap_edge.diagnosis.decision import VISIBLE_MM
 from softmap_edge.diagnosis.document import Diagnosis
 from softmap_edge.diagnosis.findings import Alternative
@@ -41,7 +41,7 @@ OLD = 300  # frames of the old runs that are simulated
 
 
 @dataclass(frozen=True)
-class Question:
+class OpenQuestion:
     """What is open: two sets of effects that explain the runs alike, or with `hidden` an effect that they hide."""
 
     one: tuple[str, ...]
@@ -57,7 +57,7 @@ class Question:
         return [e for e in self.one if e not in self.other] + [e for e in self.other if e not in self.one]
 
 
-class World:
+class Outcomes:
     """What a diagnosis left open, and what each answer would look like in a block that is not recorded yet."""
 
     def __init__(
@@ -70,12 +70,12 @@ class World:
         self.registry: dict[str, dict[str, Any]] = {e["name"]: e for e in library.effects()}
         _check(model, diagnosis, runs, self.registry, references)
         self.paired = diagnosis.made_from.get("reference") is not None
-        self.runs = runs = [sound(model, run).run for run in runs] if sound_only else runs
-        self.references = [sound(model, run).run for run in references] if sound_only else [*references]
+        self.runs = runs = [clean_run(model, run).run for run in runs] if sound_only else runs
+        self.references = [clean_run(model, run).run for run in references] if sound_only else [*references]
         known = [e.name for e in (*diagnosis.effects, *diagnosis.faults)]
         self.found = tuple(name for name in self.registry if name in known)
         asked = _questions(diagnosis, self.found, tuple(model.chain_names))
-        self.beyond = [q for q in asked if q.hidden is None and any(model.lacking(n) for n in q.other)]
+        self.beyond = [q for q in asked if q.hidden is None and any(model.missing_for(n) for n in q.other)]
         self.questions = [q for q in asked if q not in self.beyond]  # what the model has no field for is not simulated
         sets = list(dict.fromkeys([self.found, *(q.other for q in self.questions if q.hidden is None)]))
         self.hidden = [q.hidden for q in self.questions if q.hidden is not None]
@@ -83,7 +83,7 @@ class World:
         self.bare = _blank_record(model, self.setting, library)
         self.old = record_of(model, _thinned(runs), library, self.references or None) if runs else None
         named = [n for n in self.registry if any(n in s for s in sets) or n in self.hidden]
-        self.names = [n for n in named if not model.lacking(n)]
+        self.names = [n for n in named if not model.missing_for(n)]
         self.params: dict[tuple[str, ...], dict[str, float]] = {}
         if runs:
             whole = record_of(model, runs, library, self.references or None)
@@ -108,7 +108,7 @@ class World:
             if b.channels <= limits.channels and (b.changes != "temperature" or "temperature" in needed)
         ]
 
-    def answers(self, made: Protocol, changes: str) -> list[tuple[Question, float]]:
+    def answers(self, made: Protocol, changes: str) -> list[tuple[OpenQuestion, float]]:
         """Return the separation of each question in a block that `changes` a condition."""
         run = _blank(self.model, made, self.runs[0] if self.runs else None, self.setting)
         own = [run] if self.paired else []  # the block is played in the state of the reference too
@@ -142,7 +142,7 @@ class World:
 
     # --- rivals, refitted in full ---------------------------------------------------------------
 
-    def _resolvable(self, question: Question, changes: str) -> bool:
+    def _resolvable(self, question: OpenQuestion, changes: str) -> bool:
         """Whether a block that `changes` a condition can tell a pair apart, by what the library says of its members."""
         mine = [e for e in question.one if e not in question.other]
         theirs = [e for e in question.other if e not in question.one]
@@ -249,7 +249,7 @@ class World:
 class _Linear:
     """What an unseen effect leaves beside what was found, whose parameters take one linearised step."""
 
-    def __init__(self, world: World, problem: Problem, parts: list[Record]) -> None:
+    def __init__(self, world: Outcomes, problem: Problem, parts: list[Record]) -> None:
         self.world, self.problem, self.parts = world, problem, parts
 
     @cached_property
@@ -288,14 +288,14 @@ class _Linear:
 # --- what is asked ------------------------------------------------------------------------------
 
 
-def _questions(diagnosis: Diagnosis, found: tuple[str, ...], own: tuple[str, ...]) -> list[Question]:
+def _questions(diagnosis: Diagnosis, found: tuple[str, ...], own: tuple[str, ...]) -> list[OpenQuestion]:
     asked = []
     for alternative in diagnosis.alternatives:
         effects = alternative.effects
         if set(effects) != set(found) and not set(effects) & set(own):  # a refit of the model's own needs no experiment
-            asked.append(Question(found, effects, families=_between(diagnosis, alternative)))
+            asked.append(OpenQuestion(found, effects, families=_between(diagnosis, alternative)))
     recordable = [row.name for row in diagnosis.not_testable if not row.of_model]
-    asked += [Question(found, found, name) for name in recordable if name not in found]
+    asked += [OpenQuestion(found, found, name) for name in recordable if name not in found]
     return list(dict.fromkeys(asked))
 
 

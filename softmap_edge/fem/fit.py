@@ -29,7 +29,7 @@ from softmap_edge import _core
 from softmap_edge.errors import RunError, SoftmapError
 from softmap_edge.fem.finger import Finger
 from softmap_edge.fem.simulator import Simulator, tour
-from softmap_edge.geometry.rigid import Pose, rotation
+from softmap_edge.geometry.rigid import RigidPose, rotation
 from softmap_edge.geometry.sections import attach, marker_features, section_features, seen_residual, upright
 from softmap_edge.run.conditions import conditions
 from softmap_edge.run.run import Run, known
@@ -52,7 +52,7 @@ MOUNT = ("turn_x", "turn_y", "turn_z", "shift_x", "shift_y", "shift_z")
 
 
 @dataclass(frozen=True)
-class Number:
+class FingerNumber:
     """One fitted number: value ± sigma in its unit, where it started, and why it is not fitted, if it is not."""
 
     value: float
@@ -68,8 +68,8 @@ class FingerFit:
     """A finger with the numbers that a run shows, and how far off it was and is on dwells that were kept out."""
 
     finger: Finger
-    numbers: dict[str, Number]
-    mount: dict[str, Number]
+    numbers: dict[str, FingerNumber]
+    mount: dict[str, FingerNumber]
     together: tuple[tuple[str, str, float], ...]  # pairs seen only together, with their correlation
     dwells: int
     kept_out: int
@@ -80,7 +80,7 @@ class FingerFit:
     def to_dict(self) -> dict[str, Any]:
         """Return the document softmap.refit-finger/1."""
 
-        def rows(numbers: dict[str, Number]) -> dict[str, dict[str, Any]]:
+        def rows(numbers: dict[str, FingerNumber]) -> dict[str, dict[str, Any]]:
             return {name: {k: v for k, v in vars(n).items() if k != "note" or v} for name, n in numbers.items()}
 
         return {
@@ -142,13 +142,15 @@ def fit_finger(finger: Finger, run: Run, progress: Progress | None = None) -> Fi
     while (deviation := found.deviation[: len(names)]).max(initial=0.0) > SEEN:
         name = names.pop(int(np.argmax(deviation)))
         start = float(getattr(finger, name))
-        numbers[name] = Number(start, None, UNITS[name], start, note="not identifiable with this run: kept as it was")
+        numbers[name] = FingerNumber(
+            start, None, UNITS[name], start, note="not identifiable with this run: kept as it was"
+        )
         found = _descend(bench, names)
     new = bench.finger(names, found.x)
     for i, name in enumerate(names):
         value, (low, high) = float(getattr(new, name)), finger.fit[name]
         slope = bench.half(name) * (value if low > 0 else 1.0)
-        numbers[name] = Number(
+        numbers[name] = FingerNumber(
             value,
             float(found.deviation[i] * slope),
             UNITS[name],
@@ -317,7 +319,7 @@ class _Bench:
 
 def moved(points: Floats, mount: Floats) -> Floats:
     """Return points (..., 3) mm turned about the base by the vector mount[:3] (rad) and shifted by mount[3:] (mm)."""
-    return Pose(rotation(mount[:3]), mount[3:])(points)
+    return RigidPose(rotation(mount[:3]), mount[3:])(points)
 
 
 @dataclass(frozen=True, eq=False)
@@ -373,11 +375,11 @@ def _descend(bench: _Bench, names: Sequence[str]) -> _Found:
     return _Found(y[:count], y[count:], inverse @ (few * gradients @ gradients.T + np.diag(prior)) @ inverse)
 
 
-def _mount_numbers(mount: Floats, deviation: Floats) -> dict[str, Number]:
+def _mount_numbers(mount: Floats, deviation: Floats) -> dict[str, FingerNumber]:
     scale = np.r_[np.full(3, np.degrees(1.0)), np.ones(3)]
     units = ["deg"] * 3 + ["mm"] * 3
     return {
-        n: Number(float(v * k), float(d * k), unit, 0.0)
+        n: FingerNumber(float(v * k), float(d * k), unit, 0.0)
         for n, v, d, k, unit in zip(MOUNT, mount, deviation, scale, units)
     }
 

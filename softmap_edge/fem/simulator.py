@@ -33,7 +33,7 @@ _NUMBERS = tuple(UNITS)
 
 
 @dataclass(frozen=True)
-class Template:
+class FingerTemplate:
     """Surface of a finger at rest: vertices (N, 3) mm in the base frame, outward triangles (F, 3) int32."""
 
     vertices: Floats
@@ -176,7 +176,7 @@ class Simulator:
     """
 
     def __init__(
-        self, finger: Finger, template: Template | None = None, change: Mapping[str, float] | None = None
+        self, finger: Finger, template: FingerTemplate | None = None, change: Mapping[str, float] | None = None
     ) -> None:
         points = None if template is None else np.ascontiguousarray(template.vertices, dtype=np.float64)
         try:
@@ -204,10 +204,10 @@ class Simulator:
         except _core.CoreError as error:
             raise FingerError(f"{finger.name}: {error}") from None
         self.finger = finger
-        self._template = template or Template(self.solid.vertices, self.solid.triangles)
+        self._template = template or FingerTemplate(self.solid.vertices, self.solid.triangles)
 
     @property
-    def template(self) -> Template:
+    def template(self) -> FingerTemplate:
         """The reported vertices at rest, and their triangles."""
         return self._template
 

@@ -21,7 +21,7 @@ from numpy.polynomial import legendre
 from numpy.typing import NDArray
 
 from softmap_edge.errors import SoftmapError
-from softmap_edge.geometry.sections import SECTIONS, Body, slices
+from softmap_edge.geometry.sections import SECTIONS, BodyCoordinates, slices
 
 Floats = NDArray[np.float64]
 
@@ -65,15 +65,15 @@ class Centreline:
         """Return the stations (n, J + 1, 3) mm of shapes (n, N, 3) mm."""
         return np.asarray(np.einsum("jn,knc->kjc", self.weights, points) + self.fixed[:, None] * self.base)
 
-    def body(self) -> Body | None:
+    def body(self) -> BodyCoordinates | None:
         """Return the sections of the body; None for points so few that each is a feature of its own."""
         if len(self.along) <= MARKERS:
             return None
         for count in range(SECTIONS, 0, -1):
             section = slices(self.along, count)
             if all(self._seen(section == s) for s in range(count)):
-                return Body(section, self.along, self.angle)
-        return Body(np.zeros(len(self.along), np.int64), self.along, None)
+                return BodyCoordinates(section, self.along, self.angle)
+        return BodyCoordinates(np.zeros(len(self.along), np.int64), self.along, None)
 
     def _seen(self, inside: NDArray[np.bool_]) -> bool:
         """Whether a slice has points enough, and around the line, for its features."""

@@ -29,7 +29,7 @@ NARROW = 0.2  # of the width of all points: outliers may not take the rest with 
 
 
 @dataclass(frozen=True, eq=False)
-class Pose:
+class RigidPose:
     """p = rotation · s + shift, for one set of points or for a batch (B, ...): rotation (3, 3), shift (3,) mm."""
 
     rotation: Floats
@@ -39,15 +39,15 @@ class Pose:
         """Return points (..., N, 3) mm in the target frame."""
         return np.asarray(points @ np.swapaxes(self.rotation, -1, -2) + self.shift[..., None, :])
 
-    def after(self, first: Pose) -> Pose:
+    def after(self, first: RigidPose) -> RigidPose:
         """Return the pose that does `first`, then this one."""
         turned = np.einsum("...ij,...j->...i", self.rotation, first.shift)
-        return Pose(self.rotation @ first.rotation, turned + self.shift)
+        return RigidPose(self.rotation @ first.rotation, turned + self.shift)
 
-    def inverse(self) -> Pose:
+    def inverse(self) -> RigidPose:
         """Return the pose that undoes this one."""
         back = np.swapaxes(self.rotation, -1, -2)
-        return Pose(back, -np.einsum("...ij,...j->...i", back, self.shift))
+        return RigidPose(back, -np.einsum("...ij,...j->...i", back, self.shift))
 
     def vector(self) -> Floats:
         """Return (..., 6): the rotation vector in rad and the shift in mm."""
@@ -79,7 +79,7 @@ def rotation_vector(matrix: Floats) -> Floats:
     return np.asarray(np.where(length > 0, angle / np.where(length > 0, length, 1.0), 2.0) * q[..., :3])
 
 
-def kabsch(source: Floats, target: Floats, weight: Floats) -> Pose:
+def kabsch(source: Floats, target: Floats, weight: Floats) -> RigidPose:
     """Return the least-squares pose of `source` (..., N, 3) onto `target` (..., N, 3) mm with weights (..., N)."""
     share = (weight / np.maximum(weight.sum(axis=-1, keepdims=True), 1e-300))[..., None]
     from_, to = (share * source).sum(axis=-2), (share * target).sum(axis=-2)
@@ -88,10 +88,10 @@ def kabsch(source: Floats, target: Floats, weight: Floats) -> Pose:
     flip = np.ones(mixed.shape[:-1])
     flip[..., 2] = np.sign(np.linalg.det(left) * np.linalg.det(right))
     turn = np.swapaxes(left * flip[..., None, :] @ right, -1, -2)
-    return Pose(turn, to - np.einsum("...ij,...j->...i", turn, from_))
+    return RigidPose(turn, to - np.einsum("...ij,...j->...i", turn, from_))
 
 
-def robust(source: Floats, target: Floats, sigma: Floats, seen: Mask) -> tuple[Pose, Mask]:
+def robust(source: Floats, target: Floats, sigma: Floats, seen: Mask) -> tuple[RigidPose, Mask]:
     """Return the pose of N corresponding points that leaves outliers aside, and which points it is made from.
 
     Args:
@@ -107,7 +107,7 @@ def robust(source: Floats, target: Floats, sigma: Floats, seen: Mask) -> tuple[P
         target[seen]
     ):  # what is left is a line: the points left aside held the turn
         return kabsch(source, target, np.where(seen, scale**-2, 0.0)), seen
-    return Pose(poses.rotation[0], poses.shift[0]), kept
+    return RigidPose(poses.rotation[0], poses.shift[0]), kept
 
 
 def _width(points: Floats) -> float:
@@ -117,7 +117,7 @@ def _width(points: Floats) -> float:
     return float(np.linalg.svd(points - points.mean(axis=0), compute_uv=False)[1] / np.sqrt(len(points)))
 
 
-def refined(source: Floats, target: Floats, sigma: Floats, seen: Mask, start: Pose) -> tuple[Pose, Floats]:
+def refined(source: Floats, target: Floats, sigma: Floats, seen: Mask, start: RigidPose) -> tuple[RigidPose, Floats]:
     """Return a pose for each set of points, found from a pose near it, and Tukey's weights (B, N) of its points.
 
     Args:
@@ -127,7 +127,7 @@ def refined(source: Floats, target: Floats, sigma: Floats, seen: Mask, start: Po
     scale = np.broadcast_to(np.maximum(sigma, 1e-9), seen.shape)
     clean, wanted = np.where(seen[..., None], source, 0.0), np.broadcast_to(target, source.shape)
     judged = seen.sum(axis=1) > 3
-    poses = Pose(np.tile(start.rotation, (len(clean), 1, 1)), np.tile(start.shift, (len(clean), 1)))
+    poses = RigidPose(np.tile(start.rotation, (len(clean), 1, 1)), np.tile(start.shift, (len(clean), 1)))
     weight = seen.astype(float)
     for _ in range(ROUNDS):
         distance = np.where(seen, np.linalg.norm(poses(clean) - wanted, axis=-1) / scale, np.nan)
@@ -152,7 +152,7 @@ def gain(points: Floats, weight: Floats) -> Floats:
     return np.asarray(np.einsum("ij,n,ncj->inc", inverse, weight, j))
 
 
-def _best_start(s: Floats, q: Floats, scale: Floats, start: Pose) -> Pose:
+def _best_start(s: Floats, q: Floats, scale: Floats, start: RigidPose) -> RigidPose:
     """Return the pose of a triple of points, or of all of them, with the least median distance."""
     count = len(s)
     if count * (count - 1) * (count - 2) // 6 <= STARTS:
@@ -161,13 +161,13 @@ def _best_start(s: Floats, q: Floats, scale: Floats, start: Pose) -> Pose:
         rng = np.random.default_rng(0)
         triples = np.stack([rng.choice(count, 3, replace=False) for _ in range(STARTS)])
     poses = kabsch(s[triples], q[triples], np.ones(triples.shape))
-    every = Pose(
+    every = RigidPose(
         np.concatenate([start.rotation[None], poses.rotation]), np.concatenate([start.shift[None], poses.shift])
     )
     some = slice(None, None, 1 + count // JUDGES)
     median = np.median(np.linalg.norm(every(s[None, some]) - q[some], axis=-1) / scale[some], axis=-1)
     best = int(np.argmin(median))
-    return Pose(every.rotation[best], every.shift[best])
+    return RigidPose(every.rotation[best], every.shift[best])
 
 
 def _biweight(distance: Floats) -> Floats:

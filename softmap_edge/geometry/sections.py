@@ -47,7 +47,7 @@ class FeatureMap:
 
 
 @dataclass(frozen=True, eq=False)
-class Body:
+class BodyCoordinates:
     """How the points of a template lie along its body at rest, one entry a point.
 
     `section` (N,) int, base first · `along` (N,) mm from the base · `angle` (N,) rad about the centreline, None where
@@ -64,9 +64,9 @@ class Body:
         return int(self.section.max()) + 1
 
 
-def upright(rest: Floats) -> Body:
+def upright(rest: Floats) -> BodyCoordinates:
     """Return how the vertices (N, 3) mm of a finger that stands along z lie: slices of equal height."""
-    return Body(sections_of(rest), rest[:, 2], np.arctan2(rest[:, 1], rest[:, 0]))
+    return BodyCoordinates(sections_of(rest), rest[:, 2], np.arctan2(rest[:, 1], rest[:, 0]))
 
 
 def sections_of(rest: Floats, count: int = SECTIONS) -> NDArray[np.int64]:
@@ -80,7 +80,7 @@ def slices(along: Floats, count: int) -> NDArray[np.int64]:
     return np.clip(((along - low) / (high - low + 1e-9) * count).astype(np.int64), 0, count - 1)
 
 
-def section_features(body: Body) -> FeatureMap:
+def section_features(body: BodyCoordinates) -> FeatureMap:
     """Return the centroids and, off the centreline, the first moments of each section of a template.
 
     Raises:
@@ -163,7 +163,7 @@ def attach(points: Floats, rest: Floats, names: Sequence[str] = ()) -> Floats:
     return weights
 
 
-def seen_residual(residual: Floats, body: Body, seen: NDArray[np.bool_]) -> Floats:
+def seen_residual(residual: Floats, body: BodyCoordinates, seen: NDArray[np.bool_]) -> Floats:
     """Return section features (K, V, 3) mm of residuals (K, N, 3) mm of which the vertices `seen` (K, N) are known.
 
     Per frame and section, least squares of the residual on (1, cos φ, sin φ); a section with fewer than six seen

@@ -27,7 +27,7 @@ MOST_NUMBERS = 4096  # of any array of a rod's file
 
 
 @dataclass(frozen=True)
-class Layout:
+class RodLayout:
     """What is fixed about a rod.
 
     `segments` S and `channels` C; for each tendon the segment in which it ends and the command that draws it in (both
@@ -78,13 +78,13 @@ class ElasticParameters:
     `free` says which of its numbers a run has told: for each the group in which it moved, -1 for what was known.
     """
 
-    layout: Layout
+    layout: RodLayout
     numbers: Floats
     flexibility: float
     free: tuple[int, ...] = ()
 
     @classmethod
-    def nominal(cls, layout: Layout, numbers: Floats, free: tuple[int, ...] = ()) -> ElasticParameters:
+    def nominal(cls, layout: RodLayout, numbers: Floats, free: tuple[int, ...] = ()) -> ElasticParameters:
         """Return a rod on whose resting tip 1 N across moves it by a tenth of its length."""
         unscaled = cls(layout, numbers, 1.0, free)
         fields, home = unscaled.fields(), np.zeros((1, layout.channels))
@@ -139,7 +139,7 @@ class ElasticParameters:
         for name in ("segments", "channels", "ends", "channel"):
             if not all(0 <= value <= 64 and value == int(value) for value in lists[name]):
                 raise SoftmapError(f"elastic rod: '{name}' is not whole numbers from 0 to 64; learn the bundle again")
-        layout = Layout(
+        layout = RodLayout(
             segments=int(lists["segments"][0]),
             channels=int(lists["channels"][0]),
             ends=tuple(map(int, lists["ends"])),
@@ -247,7 +247,7 @@ MODES = {
 class Coordinates:
     """The free numbers of a rod as x (D,), 0 at the start; what is not free stays as it starts."""
 
-    def __init__(self, layout: Layout, start: Floats, modes: Mapping[str, str]) -> None:
+    def __init__(self, layout: RodLayout, start: Floats, modes: Mapping[str, str]) -> None:
         """Free the numbers of `layout` that `modes` (kind → mode) names, around `start` (P,)."""
         self.layout, self.start, places = layout, np.asarray(start, float), layout.places()
         self.labels: list[str] = []

@@ -184,7 +184,7 @@ class Model:
         """Return the slopes (n, 3, C) of the tip, mm per mm, where `acting` (n, C) mm acts."""
         return np.asarray(self.tip_shape.jacobian(np.asarray(acting, float)))
 
-    def lacking(self, name: str) -> list[str]:
+    def missing_for(self, name: str) -> list[str]:
         """Return what this model lacks that the effect `name` acts through.
 
         Names of fields, `tendon_compliance`, `contact`, or of a number of its prior.
@@ -267,13 +267,13 @@ class Model:
         return self._with_rod(rod, {name: self.arrays["prior"].get(name, array) for name, array in before.items()})
 
     @property
-    def restorable(self) -> bool:
+    def has_earlier_numbers(self) -> bool:
         """Whether the prior's numbers were changed along with an effect and are known as they were before."""
         return set(BEFORE) <= set(self.arrays.get("prior", {}))
 
     def _before_laws(self) -> Model:
         """Return the model with the numbers of its rod, and its error, as they were before any of them was changed."""
-        if not self.restorable or self._elastic is None:
+        if not self.has_earlier_numbers or self._elastic is None:
             return self
         numbers, error = (np.asarray(self.arrays["prior"][name], float) for name in BEFORE)
         if error.shape != self.form_error.shape or np.any(error < 0):
@@ -361,7 +361,7 @@ class Model:
         chain = _core.Chain(list(names), self.channels)
         return self.view(run).predictor.acting(chain, params, inputs or self.inputs(run))
 
-    def acts(self, run: Run) -> Floats:
+    def effective_commands(self, run: Run) -> Floats:
         """Return what the model's own effects make of the commands, (K, C) at the seen times."""
         if self.chain_names:
             return np.ascontiguousarray(self.acting(self.chain_names, self.chain_params[None], run)[0])

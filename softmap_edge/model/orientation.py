@@ -29,7 +29,7 @@ NODES = {1: 41, 2: 25, 3: 9}  # commands a channel
 MODES = 32
 
 
-def priors_in(model: Model, run: Run) -> list[tuple[Rows, Shape]]:
+def priors_by_orientation(model: Model, run: Run) -> list[tuple[Rows, Shape]]:
     """Return the frames (n,) of each orientation that a run declares, and the prior of a model in it.
 
     Args:
@@ -39,10 +39,10 @@ def priors_in(model: Model, run: Run) -> list[tuple[Rows, Shape]]:
     Returns:
         list: numbers of frames, each once, and a shape: commands (n, C) to points (n, 3N) mm.
     """
-    return [(rows, prior_in(model, gravity)) for rows, gravity in _orientations(model, run)]
+    return [(rows, prior_under_gravity(model, gravity)) for rows, gravity in _orientations(model, run)]
 
 
-def leans(model: Model, run: Run) -> bool:
+def other_orientation(model: Model, run: Run) -> bool:
     """Return whether some frames are in another orientation than the prior, and the model knows what that does."""
     return any(gravity is not None for _, gravity in _orientations(model, run))
 
@@ -73,7 +73,7 @@ def _orientations(model: Model, run: Run) -> list[tuple[Rows, Floats | None]]:
     return found or [(every, None)]
 
 
-def prior_in(model: Model, gravity: Floats | None = None) -> Shape:
+def prior_under_gravity(model: Model, gravity: Floats | None = None) -> Shape:
     """Return the prior of a model with its residual, as it is or under a gravity (3,) g."""
     if gravity is None:
         return model.structure.corrected_prior

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge import _core
-from softmap_edge.geometry.sections import Body, FeatureMap, marker_features, section_features, upright
+from softmap_edge.geometry.sections import BodyCoordinates, FeatureMap, marker_features, section_features, upright
 from softmap_edge.model.predictors import Contact, Shape, stations
 
 Floats = NDArray[np.float64]
@@ -43,7 +43,7 @@ class Structure:
     command_range: Floats  # (C, 2), in the model's command unit
     cables: _core.Cables | None = None  # how tendons answer loads; a rod has none
     second: _core.Second | None = None  # what loads do beyond their fields
-    body: Body | None = None
+    body: BodyCoordinates | None = None
     stiffness_known: bool = True
     residual: Shape | None = None
 
@@ -58,7 +58,7 @@ class Structure:
         return len(self.triangles) == 0 and self.body is None
 
     @cached_property
-    def body_coordinates(self) -> Body:
+    def body_coordinates(self) -> BodyCoordinates:
         """How the points lie along the body."""
         return upright(self.rest) if self.body is None else self.body
 

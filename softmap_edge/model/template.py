@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.errors import BundleError
-from softmap_edge.geometry.sections import SECTIONS, Body
+from softmap_edge.geometry.sections import SECTIONS, BodyCoordinates
 from softmap_edge.model.model import Arrays, Model
 
 MOST_POINTS = {"vertices": 50_000, "markers": 1000}  # a feature map holds a weight for each of them
@@ -26,7 +26,7 @@ class Template:
     triangles: NDArray[np.int32]
     tip: NDArray[np.int64]
     form_error: NDArray[np.float64]
-    body: Body | None
+    body: BodyCoordinates | None
     handles: NDArray[np.int64] | None
 
 
@@ -81,7 +81,7 @@ def _handles(bundle: str, stored: NDArray[np.generic], points: int) -> NDArray[n
     return handles
 
 
-def _body(bundle: str, arrays: Arrays, points: int) -> Body:
+def _body(bundle: str, arrays: Arrays, points: int) -> BodyCoordinates:
     """Read how the points lie along a body; as many sections as features are made of."""
     for name in ("section", "along", "angle"):
         if name in arrays and arrays[name].shape != (points,):
@@ -92,4 +92,4 @@ def _body(bundle: str, arrays: Arrays, points: int) -> Body:
     if arrays["section"].dtype.kind not in "iu" or not 0 <= section.min() <= section.max() < SECTIONS:
         raise BundleError(f"{bundle}: template 'section' holds other than whole numbers below {SECTIONS}")
     angle = np.asarray(arrays["angle"], float) if "angle" in arrays else None
-    return Body(section, np.asarray(arrays["along"], float), angle)
+    return BodyCoordinates(section, np.asarray(arrays["along"], float), angle)

@@ -24,12 +24,12 @@ BEYOND = 0.05  # share of its range by which a command may leave it before a wor
 UNLIKE = 0.015  # of the robot's length: a shape that is farther from all of its model's is another
 
 
-def beyond(model: Model, run: Run) -> list[str]:
+def command_extrapolation(model: Model, run: Run) -> list[str]:
     """Return a sentence for each channel that leaves the range of the model, for what was learned over a smaller one,
     and for loads that it cannot apply.
     """
     u, notes = model.commands(run), []
-    said = _taught(model, "prior") is not None  # of a trained prior by `untaught`, once
+    said = _taught(model, "prior") is not None  # of a trained prior by `training_extrapolation`, once
     if model.coverage is not None:
         notes, said = _uncovered(model, run), True
     for c, (low, high) in enumerate(model.command_range if len(u) and not said else ()):
@@ -40,7 +40,7 @@ def beyond(model: Model, run: Run) -> list[str]:
                 f"channel {c} goes from {least:.3g} to {most:.3g} {model.command_unit}, the model of '{model.robot}' "
                 f"was made from {low:.3g} to {high:.3g}; beyond, it extrapolates"
             )
-    notes += untaught(model, run)
+    notes += training_extrapolation(model, run)
     gravity = model.gravity_reference if run.gravity is None else run.gravity
     told = [] if np.allclose(gravity, model.gravity_reference, atol=1e-3) else ["another gravity"]
     told += [] if run.load is None or not np.any(run.load) else ["a load"]
@@ -57,7 +57,7 @@ def _uncovered(model: Model, run: Run) -> list[str]:
     coverage, unit = model.coverage, model.command_unit
     if coverage is None or not run.frames:
         return []
-    u = model.acts(run)
+    u = model.effective_commands(run)
     outside = coverage.outside(u)
     count = int(outside.sum())
     if not count:
@@ -77,14 +77,14 @@ def _uncovered(model: Model, run: Run) -> list[str]:
     ]
 
 
-def untaught(model: Model, run: Run) -> list[str]:
+def training_extrapolation(model: Model, run: Run) -> list[str]:
     """Return a sentence for the trained prior, and one for the residual, that a run takes beyond what taught it."""
     learned = {"prior": True, "residual": model.residual is not None}
     ranges = {part: _taught(model, part) for part, there in learned.items() if there}
     known = {part: found for part, found in ranges.items() if found is not None}
     if not known or not run.frames:
         return []
-    u = model.acts(run)
+    u = model.effective_commands(run)
     notes = []
     for what, (low, high) in known.items():
         outside = (u < low - BEYOND * (high - low)) | (u > high + BEYOND * (high - low))
@@ -102,7 +102,7 @@ def untaught(model: Model, run: Run) -> list[str]:
     return notes
 
 
-def unlike(model: Model, mae: Floats) -> list[str]:
+def shape_mismatch(model: Model, mae: Floats) -> list[str]:
     """Return a sentence where shapes are like none that the model makes at any command.
 
     Args:
@@ -161,7 +161,7 @@ def check_commands(model: Model, run: Run, u: Floats) -> None:
         )
 
 
-def elsewhere(model: Model, run: Run) -> list[str]:
+def out_of_reach(model: Model, run: Run) -> list[str]:
     """Say so where the points of a run are farther from the base than the robot can reach.
 
     Args:

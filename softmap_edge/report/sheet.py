@@ -16,7 +16,7 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from softmap_edge.comparison.series import Pose, Series
+from softmap_edge.comparison.series import ExamplePose, Series
 from softmap_edge.files.numbers import mm
 from softmap_edge.report.figures import ERROR_MAP, FAINT, INK, PALE, STYLE, WIDE, png, rms, vertex_normals
 
@@ -105,7 +105,12 @@ def view() -> tuple[Floats, Floats, Floats]:
 
 
 def _draw_surface(
-    axes: Axes, pose: Pose, values: Floats, triangles: NDArray[np.int64], view: tuple[Floats, ...], scale: Normalize
+    axes: Axes,
+    pose: ExamplePose,
+    values: Floats,
+    triangles: NDArray[np.int64],
+    view: tuple[Floats, ...],
+    scale: Normalize,
 ) -> None:
     """The seen triangles of one pose, far ones first, shaded."""
     right, up, towards = view
@@ -126,7 +131,7 @@ def _draw_surface(
     axes.add_collection(PolyCollection(list(flat[order]), facecolors=rgb[order], edgecolors=rgb[order], linewidths=0.3))
 
 
-def _draw_markers(axes: Axes, pose: Pose, values: Any, right: Floats, up: Floats, scale: Normalize) -> None:
+def _draw_markers(axes: Axes, pose: ExamplePose, values: Any, right: Floats, up: Floats, scale: Normalize) -> None:
     """The markers of one pose, joined in their order."""
     x, y = pose.points @ right, pose.points @ up
     axes.plot(x, y, color=PALE, linewidth=1.6, zorder=1)

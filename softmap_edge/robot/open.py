@@ -14,7 +14,7 @@ from softmap_edge.model.model import Model
 from softmap_edge.model.servo_calibration import Calibration
 from softmap_edge.robot.control.controller import Controller
 from softmap_edge.robot.motion.kinematics import Kinematics
-from softmap_edge.robot.servo.limits import calibration_of, combined
+from softmap_edge.robot.servo.limits import calibration_of, effective_limits
 from softmap_edge.robot.servo.loop_limits import RATE
 from softmap_edge.robot.servo.rig import Rig, read_rig
 
@@ -42,7 +42,7 @@ def read_bench(path: str | Path, model: Model) -> Bench:
     """
     known = calibration_of(model)  # asked first: the bundle is what a user mends first
     rig = read_rig(path)
-    found = combined(rig, model, known, RATE)
+    found = effective_limits(rig, model, known, RATE)
     return Bench(rig, found.table(), found.calibration, replace(model, calibration=found.calibration))
 
 

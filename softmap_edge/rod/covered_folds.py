@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from softmap_edge.model.basis import SQUARES, Basis
 from softmap_edge.model.coverage import Coverage
-from softmap_edge.rod.reference_run import Seen
+from softmap_edge.rod.reference_run import ReferenceFrames
 from softmap_edge.run.folds import FOLDS, GAP, Folds, Index, folds, labelled, run_folds
 
 UNCOVERED = 0.1  # share of the held-out frames that the others may leave uncovered
@@ -24,7 +24,7 @@ MOST_GAP = 0.5  # of a block: more would leave too little of a short run to lear
 MOST_BLOCKS, LEAST_FRAMES = 40, 4  # blocks of a run, and frames of a block
 
 
-def covered_folds(seen: Seen, basis: Basis, blocks: int, gap_s: float) -> tuple[Folds, float]:
+def covered_folds(seen: ReferenceFrames, basis: Basis, blocks: int, gap_s: float) -> tuple[Folds, float]:
     """Return folds of at least `blocks` blocks of time, and the gap (s, at most `gap_s`) next to each.
 
     Args:
@@ -47,7 +47,7 @@ def covered_folds(seen: Seen, basis: Basis, blocks: int, gap_s: float) -> tuple[
         blocks = finer
 
 
-def search_folds(seen: Seen, basis: Basis) -> Folds:
+def search_folds(seen: ReferenceFrames, basis: Basis) -> Folds:
     """Return the folds of a search: labels, or blocks of time; and runs that the commands of the others cover."""
     parts = run_folds(seen.t, seen.labels) if labelled(seen.labels) else covered_folds(seen, basis, FOLDS, GAP)[0]
     for k in range(len(seen.runs)) if len(seen.runs) > 1 else ():
@@ -58,7 +58,7 @@ def search_folds(seen: Seen, basis: Basis) -> Folds:
     return parts
 
 
-def _outside(seen: Seen, basis: Basis, train: Index, test: Index) -> NDArray[np.bool_]:
+def _outside(seen: ReferenceFrames, basis: Basis, train: Index, test: Index) -> NDArray[np.bool_]:
     """Return which of the held-out frames the training frames leave uncovered."""
     commands = seen.drive.commanded
     return Coverage.of(commands[train], basis).outside(commands[test]) if len(train) else np.zeros(len(test), bool)

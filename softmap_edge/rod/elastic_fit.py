@@ -24,7 +24,7 @@ from softmap_edge.model.elastic_rod import Coordinates, ElasticParameters
 from softmap_edge.rod.covered_folds import search_folds
 from softmap_edge.rod.descent import Term, descend
 from softmap_edge.rod.memory import FRAMES, Memory, find_memory
-from softmap_edge.rod.reference_run import Fitted, Number, Seen
+from softmap_edge.rod.reference_run import Fitted, FittedNumber, ReferenceFrames
 from softmap_edge.rod.static_map import StaticMap
 from softmap_edge.run.folds import Folds
 
@@ -41,7 +41,7 @@ EXACT = 1e-4  # mm: no camera sees better, so that a perfect fit is not infinite
 TRADED = 0.995  # correlation of two numbers from which the run tells them only together
 
 
-def fit_elastic(seen: Seen, robot: Robot, parts: Folds, seed: int, static: bool) -> Fitted:
+def fit_elastic(seen: ReferenceFrames, robot: Robot, parts: Folds, seed: int, static: bool) -> Fitted:
     """Fit the free numbers of an elastic rod, then the drive's delay if the log identifies it and not `static`.
 
     Raises:
@@ -74,7 +74,7 @@ def fit_elastic(seen: Seen, robot: Robot, parts: Folds, seed: int, static: bool)
     )
 
 
-def _memory(seen: Seen, robot: Robot, fitted: Floats, seed: int) -> Memory:
+def _memory(seen: ReferenceFrames, robot: Robot, fitted: Floats, seed: int) -> Memory:
     """Find the drive's delay with the rod that was fitted to the commands, supported by a small polynomial.
 
     Other memory is left to the diagnosis: the rod has laws of its own for slack and friction.
@@ -94,7 +94,7 @@ def _memory(seen: Seen, robot: Robot, fitted: Floats, seed: int) -> Memory:
     return find_memory(few, static, seed, members=("delay",))
 
 
-def fit_for(robot: Robot, seen: Seen) -> Seen:
+def fit_for(robot: Robot, seen: ReferenceFrames) -> ReferenceFrames:
     """Check that a run is one of this robot, and thin its frames to what a fit needs."""
     channels, markers = seen.drive.channels, seen.markers.shape[1]
     if (channels, markers) != (robot.layout.channels, len(robot.layout.at)):
@@ -180,7 +180,7 @@ def cross_validate(data: Data, x: Floats, parts: Folds) -> tuple[Floats, Floats]
 # --- what is told --------------------------------------------------------------------------------
 
 
-def numbers(data: Data, x: Floats, refits: Floats) -> tuple[Number, ...]:
+def numbers(data: Data, x: Floats, refits: Floats) -> tuple[FittedNumber, ...]:
     """Return what the fit says of each free number."""
     space, everything = data.coordinates, np.arange(len(data.u))
     residual, jacobian = data.residuals(x).reshape(-1), data.slopes(x, everything)
@@ -198,7 +198,7 @@ def numbers(data: Data, x: Floats, refits: Floats) -> tuple[Number, ...]:
             note = "not identified by this run"
         if abs(traded[i, partner]) > TRADED and sigma[i] > 0.1 * space.doubt[i]:
             note = f"identified only together with {space.labels[partner]}"
-        found.append(Number(space.labels[i], value, deviation, unit, bool(at_bound[i]), note))
+        found.append(FittedNumber(space.labels[i], value, deviation, unit, bool(at_bound[i]), note))
     return tuple(found)
 
 

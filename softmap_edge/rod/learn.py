@@ -30,7 +30,7 @@ from softmap_edge.model.servo_calibration import from_home
 from softmap_edge.model.structure import Structure
 from softmap_edge.rod.elastic_fit import fit_elastic, fit_for
 from softmap_edge.rod.polynomial import fit_polynomial
-from softmap_edge.rod.reference_run import Fitted, Number, Rod, Seen, observe
+from softmap_edge.rod.reference_run import Fitted, FittedNumber, ReferenceFrames, Rod, observe
 from softmap_edge.rod.regression import rms
 from softmap_edge.run.folds import folds
 from softmap_edge.run.pieces import spans
@@ -78,7 +78,7 @@ class LearnedRod:
     frames: tuple[NDArray[np.intp], ...]
     coverage: Coverage
     made_from: Mapping[str, Any]
-    numbers: tuple[Number, ...] = ()
+    numbers: tuple[FittedNumber, ...] = ()
     learned_in: tuple[LearnedIn, ...] = ()
     notes: tuple[str, ...] = ()
 
@@ -158,7 +158,7 @@ def learn(
     return _learned(seen, fitted, made_from, [line for _, lines in cleared for line in lines])
 
 
-def _learned(seen: Seen, fitted: Fitted, made_from: Mapping[str, Any], lost: Sequence[str]) -> LearnedRod:
+def _learned(seen: ReferenceFrames, fitted: Fitted, made_from: Mapping[str, Any], lost: Sequence[str]) -> LearnedRod:
     """Put together what was fitted, how far off it is, and what to beware of."""
     residuals, memory = fitted.residuals, fitted.memory
     tested = residuals[np.isfinite(residuals).all(axis=(1, 2))]
@@ -195,7 +195,7 @@ def _learned(seen: Seen, fitted: Fitted, made_from: Mapping[str, Any], lost: Seq
     )
 
 
-def _notes(seen: Seen, fitted: Fitted, error: float, gap_s: float) -> tuple[str, ...]:
+def _notes(seen: ReferenceFrames, fitted: Fitted, error: float, gap_s: float) -> tuple[str, ...]:
     """Return what the user should know before trusting the rod."""
     notes, unit = [], seen.unit
     commands, stray = seen.drive.commands, seen.stray
@@ -259,7 +259,7 @@ def _flat(runs: Sequence[Run]) -> list[str]:
     return [f"{planes[0]}; no effect across it can be identified"] if planes and all(planes) else []
 
 
-def _short(seen: Seen, fitted: Fitted, asked: float) -> list[str]:
+def _short(seen: ReferenceFrames, fitted: Fitted, asked: float) -> list[str]:
     """Return a sentence if blocks are shorter than the gap next to them, which had to be shortened or left out."""
     counts = [len(train) for train, _ in fitted.parts]
     if seen.timeless or not counts:

@@ -33,7 +33,7 @@ from softmap_edge import _core
 from softmap_edge.model.learned_in import Alternative, LearnedIn
 from softmap_edge.model.learned_in import Law as Certainty
 from softmap_edge.rod.law import FittedLaw, LawFit, law
-from softmap_edge.rod.reference_run import Seen
+from softmap_edge.rod.reference_run import ReferenceFrames
 from softmap_edge.rod.regression import Drive, standard_error
 from softmap_edge.rod.signals import DRIFT, Family, families
 from softmap_edge.rod.static_map import StaticMap
@@ -140,7 +140,7 @@ class _Found:
         return float(fall.sum()) > standard_error(fall) and float((fall > 0).mean()) >= MOST_FOLDS
 
 
-def find_memory(seen: Seen, static: StaticMap, seed: int, members: Sequence[str] | None = None) -> Memory:
+def find_memory(seen: ReferenceFrames, static: StaticMap, seed: int, members: Sequence[str] | None = None) -> Memory:
     """Find the memory of a robot together with its static map.
 
     Args:
@@ -153,7 +153,7 @@ def find_memory(seen: Seen, static: StaticMap, seed: int, members: Sequence[str]
 
 
 class _Search:
-    def __init__(self, seen: Seen, static: StaticMap, seed: int, members: Sequence[str] | None) -> None:
+    def __init__(self, seen: ReferenceFrames, static: StaticMap, seed: int, members: Sequence[str] | None) -> None:
         self.seen, self.static, self.members = seen, static, members
         self.fit, self.families = LawFit(seen.drive, static, seed, seen.unit), families()
         self.floor = self._noise() * len(static.targets) * static.targets.shape[1]
@@ -413,7 +413,7 @@ def _twins(name: str) -> list[str]:
     return [effect["name"] for effect in _core.effects() if effect["alike"].get(name) == "never"]
 
 
-def refined_memory(memory: Memory, seen: Seen, static: StaticMap, seed: int) -> Memory:
+def refined_memory(memory: Memory, seen: ReferenceFrames, static: StaticMap, seed: int) -> Memory:
     """Return the memory with its numbers fitted again with another map of the same targets."""
     if not memory.names:
         return memory

@@ -21,7 +21,7 @@ from softmap_edge.model.model import TIP_PER_NEWTON
 from softmap_edge.model.polynomial_rod import RodParameters
 from softmap_edge.rod.covered_folds import covered_folds, search_folds
 from softmap_edge.rod.memory import FEW_CHANNELS, FRAMES, Memory, find_memory, refined_memory
-from softmap_edge.rod.reference_run import Fitted, Seen
+from softmap_edge.rod.reference_run import Fitted, ReferenceFrames
 from softmap_edge.rod.regression import RIDGE_STEPS, Regression, choose_basis
 from softmap_edge.rod.static_map import StaticMap
 from softmap_edge.run.folds import Folds
@@ -38,7 +38,13 @@ LEVEL, FAR_BELOW = 1e-6, 20.0  # of the range of markers: a height below this is
 
 
 def fit_polynomial(
-    seen: Seen, blocks: int, gap_s: float, base: ArrayLike | None, degree: int | None, static: bool, seed: int
+    seen: ReferenceFrames,
+    blocks: int,
+    gap_s: float,
+    base: ArrayLike | None,
+    degree: int | None,
+    static: bool,
+    seed: int,
 ) -> Fitted:
     """Fit a polynomial rod with its memory: basis and ridge by cross-validation, `static` for no memory."""
     parts, _ = covered_folds(seen, Basis(1), blocks, gap_s)
@@ -69,7 +75,7 @@ def fit_polynomial(
     return Fitted(rod, memory, residuals, parts, made_from, basis=chosen if chosen.pulled else SQUARES)
 
 
-def _bases(seen: Seen, smallest: int, degree: int | None) -> tuple[Basis, ...]:
+def _bases(seen: ReferenceFrames, smallest: int, degree: int | None) -> tuple[Basis, ...]:
     """Return the bases that `smallest` frames can identify; pulls where several commands move to both sides of 0."""
     channels, commands = seen.drive.channels, seen.drive.commands
     some = (DEGREES if channels > 1 else DEGREES_OF_ONE) if degree is None else (degree,)
@@ -90,7 +96,7 @@ def _bases(seen: Seen, smallest: int, degree: int | None) -> tuple[Basis, ...]:
 
 
 def _memory(
-    thinned: Seen, parts: Folds, fit: Regression, commanded: Floats, bases: tuple[Basis, ...], seed: int
+    thinned: ReferenceFrames, parts: Folds, fit: Regression, commanded: Floats, bases: tuple[Basis, ...], seed: int
 ) -> Memory:
     """Find the memory with the map of the commands alone, or with a richer one for few channels."""
     chosen, ridge = choose_basis(fit, commanded, bases)

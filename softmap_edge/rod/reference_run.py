@@ -42,7 +42,7 @@ class Rod(Protocol):
 
 
 @dataclass(frozen=True)
-class Number:
+class FittedNumber:
     """A fitted number: `value` ± `sigma` (one standard deviation) in `unit`; `note` says why it is not told, if so."""
 
     label: str
@@ -62,7 +62,7 @@ class Number:
 
 
 @dataclass(frozen=True, eq=False)
-class Seen:
+class ReferenceFrames:
     """The data of one run or of several to learn from.
 
     `frames` (n_i,) of each run, their `markers` (n, K, 3) mm, and the commands behind them.
@@ -125,11 +125,13 @@ class Seen:
         """RMS distance of the markers from their mean, mm."""
         return rms(self.markers - self.markers.mean(axis=0))
 
-    def every(self, step: int) -> Seen:
+    def every(self, step: int) -> ReferenceFrames:
         """Return the same with every `step`-th frame."""
         kept = np.concatenate([np.arange(len(index)) % step == 0 for index in self.frames])
         frames = tuple(index[::step] for index in self.frames)
-        return Seen(self.runs, self.source, frames, self.markers[kept], _drive(self.runs, self.source, frames))
+        return ReferenceFrames(
+            self.runs, self.source, frames, self.markers[kept], _drive(self.runs, self.source, frames)
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,11 +146,13 @@ class Fitted:
     residuals: Floats
     parts: Folds
     made_from: Mapping[str, Any]
-    numbers: tuple[Number, ...] = ()
+    numbers: tuple[FittedNumber, ...] = ()
     basis: Basis = SQUARES
 
 
-def observe(runs: Sequence[Run], input: Source | None, hold_out: Sequence[tuple[float, float]], rate_hz: float) -> Seen:
+def observe(
+    runs: Sequence[Run], input: Source | None, hold_out: Sequence[tuple[float, float]], rate_hz: float
+) -> ReferenceFrames:
     """Return the frames to learn from; raise RunError where a run lacks markers, commands or motion."""
     runs = tuple(_in_scale(run, runs[0].output) for run in from_home(runs)[0])
     if len({run.hash() for run in runs}) < len(runs):
@@ -177,7 +181,7 @@ def observe(runs: Sequence[Run], input: Source | None, hold_out: Sequence[tuple[
                 f"{length:.3g} mm from the base, and under {100 * STILL:g} % of that a model learns noise; record a "
                 "run that goes through the robot's range, or correct the markers' unit"
             )
-    return Seen(runs, source, frames, markers, drive)
+    return ReferenceFrames(runs, source, frames, markers, drive)
 
 
 def _in_scale(run: Run, first: Output | None) -> Run:

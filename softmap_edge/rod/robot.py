@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from softmap_edge.errors import RobotError, SoftmapError, brief
 from softmap_edge.files.toml import TomlTable
-from softmap_edge.model.elastic_rod import MODES, Coordinates, Layout
+from softmap_edge.model.elastic_rod import MODES, Coordinates, RodLayout
 
 Floats = NDArray[np.float64]
 
@@ -35,7 +35,7 @@ class Robot:
     """
 
     name: str
-    layout: Layout
+    layout: RodLayout
     start: Floats
     modes: dict[str, str]
     angles_known: bool = True
@@ -107,7 +107,7 @@ def _robot(top: TomlTable) -> Robot:
             f"{tendons.where}: command names {sorted(set(channel))} for {len(channel)} of {count} tendons; give each "
             "tendon the number of the command that draws it in, from 1, none left out"
         )
-    layout = Layout(
+    layout = RodLayout(
         segments=segments,
         channels=max(channel),
         ends=tuple(end - 1 for end in ends),

@@ -27,7 +27,7 @@ from softmap_edge.errors import SoftmapError
 from softmap_edge.fem.bodies import Meshed
 from softmap_edge.fem.cut import Cut
 from softmap_edge.fem.finger import Finger, Tendon
-from softmap_edge.fem.simulator import Simulator, Template
+from softmap_edge.fem.simulator import FingerTemplate, Simulator
 from softmap_edge.robot.emulated.laws import LAWS, BoucWen, Law, TrueWeight, rotation
 from softmap_edge.robot.emulated.named_laws import NAMED, check_hidden
 from softmap_edge.robot.emulated.published_map import PUBLISHED, ServoMap
@@ -73,7 +73,7 @@ class VirtualFinger:
     servos: ServoMap = PUBLISHED
 
     @cached_property
-    def template(self) -> Template:
+    def template(self) -> FingerTemplate:
         """The material points that the truth reports: the vertices of the model's finger."""
         return Simulator(self.finger).template
 

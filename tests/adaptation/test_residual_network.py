@@ -19,7 +19,7 @@ from softmap_edge.alignment.base_in_clouds import align_clouds, base_stood_off, 
 from softmap_edge.alignment.register import clamped, register  # noqa: E402
 from softmap_edge.alignment.result import in_frame  # noqa: E402
 from softmap_edge.cli import main  # noqa: E402
-from softmap_edge.geometry.rigid import Pose, rotation, rotation_vector  # noqa: E402
+from softmap_edge.geometry.rigid import RigidPose, rotation, rotation_vector  # noqa: E402
 from softmap_edge.synthetic.depth_camera import TWO  # noqa: E402
 
 torch.set_num_threads(1)
@@ -96,7 +96,7 @@ def test_the_published_one_is_taught_by_chamfer_and_moves_what_the_clamp_holds(t
 def test_a_base_that_stands_off_is_no_shape(taught, tmp_path, capsys, monkeypatch):
     """Taken for a shape of the finger it would bend what stands straight."""
     run, true, _ = taught
-    off_by = Pose(rotation(np.radians([1.2, -0.7, 0.0])), np.array([1.0, -0.8, 0.0]))
+    off_by = RigidPose(rotation(np.radians([1.2, -0.7, 0.0])), np.array([1.0, -0.8, 0.0]))
     stood = in_frame(run, off_by, np.zeros(6))
     model, report = train_residual(MODEL, stood)
     found = align_clouds(stood, MODEL)

@@ -15,7 +15,7 @@ from softmap_edge.alignment.result import in_frame
 from softmap_edge.cli import main
 from softmap_edge.commands.align import without
 from softmap_edge.errors import RunError
-from softmap_edge.geometry.rigid import Pose, kabsch, robust, rotation, rotation_vector
+from softmap_edge.geometry.rigid import RigidPose, kabsch, robust, rotation, rotation_vector
 from softmap_edge.run.protocol import standard_protocol
 
 # --- the pose itself ------------------------------------------------------------------------
@@ -284,7 +284,7 @@ def test_cameras_are_carried_along_with_what_they_see():
     run = Run(t=t, command=np.zeros((4, 2)), t_seen=t, markers=points, cameras=looking)
     moved = in_frame(run, CAMERA, np.ones(6))
     for before, after in zip(run.cameras, moved.cameras):
-        own = [Pose(c[:, :3], c[:, 3])(seen) for c, seen in ((before, run.markers), (after, moved.markers))]
+        own = [RigidPose(c[:, :3], c[:, 3])(seen) for c, seen in ((before, run.markers), (after, moved.markers))]
         np.testing.assert_allclose(own[1], own[0], atol=1e-10)
     assert np.abs(moved.cameras - run.cameras).max() > 1.0
     with pytest.raises(RunError, match="cameras: .* no rotations"):

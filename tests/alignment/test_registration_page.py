@@ -20,7 +20,7 @@ from softmap_edge.calibration.calibration import _calibrated, calibrate
 from softmap_edge.cli import main
 from softmap_edge.errors import RegistrationError
 from softmap_edge.fem import finger
-from softmap_edge.geometry.rigid import Pose, rotation, rotation_vector
+from softmap_edge.geometry.rigid import RigidPose, rotation, rotation_vector
 from softmap_edge.robot.emulated.published_map import PUBLISHED
 
 PAGE = (Path(__file__).parents[2] / "docs/registration.md").read_text(encoding="utf-8")
@@ -97,7 +97,7 @@ def test_the_calibration_is_as_near_as_the_page_says(reader):
 def test_a_base_that_stands_off_does_not_bend_the_map(reader):
     folder, _ = reader
     run, model = Run.load(folder / "grid.npz"), builtin_model()
-    pose = Pose(rotation(np.radians([1.0, -0.6, 0.0])), np.array([1.0, -0.7, 0.0]))
+    pose = RigidPose(rotation(np.radians([1.0, -0.6, 0.0])), np.array([1.0, -0.7, 0.0]))
     off = in_frame(run, pose, np.zeros(6))
     found, alone = calibrate(model, off), _calibrated(model, off, None, None, True)
     told, bent = (np.abs(one.calibration.A - PUBLISHED.slope) / np.abs(PUBLISHED.slope) for one in (found, alone))

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from softmap_edge import Run, builtin_model, effects, save_bundle
-from softmap_edge.checks.advice import advice, asked
+from softmap_edge.checks.advice import advice, missing_data
 from softmap_edge.checks.summary import sentences, summary
 from softmap_edge.cli import main
 from softmap_edge.files.numbers import WIDTH
@@ -153,10 +153,11 @@ def test_check_and_diagnosis_agree_on_a_noise_that_is_declared_alone():
     run = full(command=triangle(p.t), sigma=np.array(0.3))
     word = answers(run)["noise"]
     assert not word["tells"] and "to estimate the noise; the declared 0.3 mm per coordinate is not used" in word["text"]
-    assert any(word["text"] in remark for remark in asked([full(), run], 400, False))
+    assert any(word["text"] in remark for remark in missing_data([full(), run], 400, False))
     assert "declares" not in answers(replace(run, sigma=None))["noise"]["text"]
     assert (
-        "too few repeated" not in str(asked([run], 400, True)) and answers(full(sigma=np.array(0.3)))["noise"]["tells"]
+        "too few repeated" not in str(missing_data([run], 400, True))
+        and answers(full(sigma=np.array(0.3)))["noise"]["tells"]
     )
 
 

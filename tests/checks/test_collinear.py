@@ -5,7 +5,7 @@ import pytest
 from logs import ROOT
 
 from softmap_edge import Run
-from softmap_edge.checks.advice import asked
+from softmap_edge.checks.advice import missing_data
 from softmap_edge.checks.collinear import collinear_conditions, tied_channels
 from softmap_edge.checks.summary import sentences, summary
 from softmap_edge.diagnosis.diagnose import diagnose
@@ -147,7 +147,7 @@ def test_check_and_diagnose_say_what_is_tied():
     tied = run(command=np.stack([command, other, -command - other], axis=1))
     poor = [w for w in summary(tied)["cannot_tell"] if w["about"] == "channels"]
     assert len(poor) == 1 and "channels 0, 1, 2 add up to 0 (2 of 3 directions move)" in poor[0]["text"]
-    assert any("channels 0, 1, 2 add up" in text for text in asked([tied], P.frames, True))
+    assert any("channels 0, 1, 2 add up" in text for text in missing_data([tied], P.frames, True))
 
 
 def about_channels(command):

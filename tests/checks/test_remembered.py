@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from softmap_edge import Run, builtin_model, diagnose
-from softmap_edge.checks.remembered import remembered
-from softmap_edge.diagnosis.clean import sound
+from softmap_edge.checks.remembered import memory_share
+from softmap_edge.diagnosis.clean import clean_run
 from softmap_edge.errors import RunError
 
 MODEL = builtin_model()
@@ -53,7 +53,7 @@ def test_a_strong_play_is_no_fault(gap, motion, noise):
     t, u = motion()
     half = 0.5 * np.ptp(u, axis=0)
     run = seen_by(t, u, np.stack([played(u[:, [c]], gap * half[c])[:, 0] for c in (0, 1)], axis=1), noise)
-    checked = sound(MODEL, run)
+    checked = clean_run(MODEL, run)
     assert checked.run.frames == run.frames and checked.doubts == ()
     assert not any("set aside" in text or "unit" in text for text in checked.remarks), checked.remarks
 
@@ -62,9 +62,9 @@ def test_a_play_of_one_gap_is_found_as_memory():
     t, u = sine()
     run = seen_by(t, u, played(u, 9.0), 0.1)
     seen = np.asarray(run.vertices)
-    found = remembered(MODEL, run, seen, np.ones(seen.shape[:2], bool))
+    found = memory_share(MODEL, run, seen, np.ones(seen.shape[:2], bool))
     assert found.share > 0.9 and found.free > 0.9
-    none = remembered(MODEL, run, np.repeat(seen[:1], len(seen), 0), np.ones(seen.shape[:2], bool))
+    none = memory_share(MODEL, run, np.repeat(seen[:1], len(seen), 0), np.ones(seen.shape[:2], bool))
     assert none.free < 0.05
 
 
@@ -77,11 +77,11 @@ def test_real_faults_are_still_refused():
     t, u = wandering()
     run = seen_by(t, u, u, 0.2)
     with pytest.raises(RunError, match="frames 8"):
-        sound(MODEL, late(run, 8.0))
+        clean_run(MODEL, late(run, 8.0))
     with pytest.raises(RunError, match="opposite sign"):
-        sound(MODEL, replace(run, command=-run.command))
+        clean_run(MODEL, replace(run, command=-run.command))
     with pytest.raises(RunError, match="another unit"):
-        sound(MODEL, replace(run, command=0.1 * run.command))
+        clean_run(MODEL, replace(run, command=0.1 * run.command))
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.2])
@@ -90,7 +90,7 @@ def test_a_camera_that_hangs_is_still_found(count, noise):
     t, u = wandering()
     run = seen_by(t, u, u, noise)
     hung = replace(run, vertices=run.vertices[np.arange(run.frames) // count * count])
-    assert any("the camera or its log hangs" in text for text in sound(MODEL, hung).remarks)
+    assert any("the camera or its log hangs" in text for text in clean_run(MODEL, hung).remarks)
 
 
 # --- a robot that does not follow ------------------------------------------------------------------

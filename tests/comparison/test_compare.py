@@ -11,7 +11,7 @@ from softmap_edge import builtin_model, diagnose
 from softmap_edge.comparison.comparison import Comparison, compare
 from softmap_edge.comparison.series import series
 from softmap_edge.errors import ComparisonError, RunError
-from softmap_edge.model.training_range import elsewhere
+from softmap_edge.model.training_range import out_of_reach
 from softmap_edge.noise.floor import noise_floor
 from softmap_edge.run.conditions import cells, conditions
 from softmap_edge.run.run import Run
@@ -277,9 +277,9 @@ def test_points_in_the_frame_of_a_camera_are_told():
     t = np.arange(0.0, 20.0, 0.1)
     u = 12 * np.column_stack([np.sin(t), np.cos(t)])
     bent = np.asarray(model.predict(Run(t=t, command=u, t_seen=t, vertices=np.repeat(model.rest[None], len(t), 0))))
-    assert elsewhere(model, Run(t=t, command=u, t_seen=t, vertices=bent)) == []
+    assert out_of_reach(model, Run(t=t, command=u, t_seen=t, vertices=bent)) == []
     seen = np.ones(bent.shape[:2], bool)
     seen[:, ::2] = False
     away = Run(t=t, command=u, t_seen=t, vertices=bent @ np.diag([1.0, -1.0, -1.0]) + [310, 45, 820], visible=seen)
-    [line] = elsewhere(model, away)
+    [line] = out_of_reach(model, away)
     assert "`softmap align`" in line and "reaches 117 mm" in line

@@ -10,7 +10,7 @@ from arm import LIBRARY, Arm, protocol, record_run
 from softmap_edge.diagnosis.certificate import LEVEL, SIZES, certificates, certified, hypotheses
 from softmap_edge.diagnosis.diagnose import diagnose
 from softmap_edge.diagnosis.document import Diagnosis
-from softmap_edge.diagnosis.families import Body, State, families
+from softmap_edge.diagnosis.families import FeatureBody, State, families
 from softmap_edge.diagnosis.findings import Certificate, power
 from softmap_edge.diagnosis.fit import Problem
 from softmap_edge.diagnosis.fits import Fits
@@ -34,7 +34,7 @@ def claimed(run, names=None):
     """
     record = Record(Arm(), run, LIBRARY)
     problem = problem_of(record, NAMES)
-    body, fits = Body(problem, NAMES), Fits(problem, NAMES)
+    body, fits = FeatureBody(problem, NAMES), Fits(problem, NAMES)
     singles = [fits.get((name,)) for name in NAMES] if names is None else [fits.get(names)]
     fit = min(singles, key=lambda one: one.cost)
     loss = fits.losses(fit)[0]

@@ -13,9 +13,9 @@ from softmap_edge.diagnosis.evidence import (
     _static,
     at_bound,
     equivalents,
-    leftover,
     not_testable,
-    strongest,
+    typical_difference,
+    unexplained_structure,
 )
 from softmap_edge.diagnosis.fits import Fits
 from softmap_edge.diagnosis.prepare import problem_of
@@ -43,8 +43,8 @@ def fits_of(acting, effects=FEW, noise=0.25):
 def test_what_is_left_is_what_is_beyond_the_noise_and_what_predicts_it():
     fits = fits_of(lambda u: 1.12 * u, ["gain"])
     problem, record = fits.problem, fits.problem.record
-    none = leftover(problem, record.seen - fits.get(["gain"]).predicted, 2)
-    whole = leftover(problem, record.seen - fits.null.predicted, 0)
+    none = unexplained_structure(problem, record.seen - fits.get(["gain"]).predicted, 2)
+    whole = unexplained_structure(problem, record.seen - fits.null.predicted, 0)
     assert none.rms_mm < 0.1 and none.chi2_per_n == pytest.approx(1.0, abs=0.15) and none.predicted_by is None
     noise = problem.noise.rms_mm(record.positions)
     assert whole.rms_mm == pytest.approx(np.sqrt(record.rms_mm(record.seen - fits.null.predicted) ** 2 - noise**2))
@@ -75,7 +75,7 @@ def test_an_effect_that_does_nothing_here_cannot_be_tested():
     hidden = {row.name: row for row in not_testable(frozen, frozen.null, registry)}
     assert "too weak to detect" in hidden["latency"].why and hidden["latency"].minutes > 0.0
     record = fits.problem.record
-    assert all(record.rms_mm(strongest(fits.problem, name)) > 1.0 for name in ("gain", "latency"))
+    assert all(record.rms_mm(typical_difference(fits.problem, name)) > 1.0 for name in ("gain", "latency"))
 
 
 def test_what_nobody_explains_is_claimed():

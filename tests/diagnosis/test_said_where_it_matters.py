@@ -10,7 +10,7 @@ from softmap_edge import Run, diagnose, learn_model, save_bundle
 from softmap_edge.checks.advice import advice
 from softmap_edge.cli import main
 from softmap_edge.model.coverage import apart
-from softmap_edge.model.training_range import beyond
+from softmap_edge.model.training_range import command_extrapolation
 from softmap_edge.run.plane import plane_of
 
 
@@ -132,6 +132,6 @@ def test_a_reference_of_one_axis_at_a_time_is_reported_by_check_learn_and_compar
     model = learn_model(run, static=True)
     assert any("commands 1 and 2 are never far" in note for note in model.made_from["notes"])
     corner = run_of(np.tile([[7.0, 7.0]], (40, 1)) * np.linspace(0.9, 1.0, 40)[:, None], np.arange(40) * 0.05)
-    (told,) = beyond(model, corner)
+    (told,) = command_extrapolation(model, corner)
     assert "each channel stays within its range, but they were never moved together like this" in told
-    assert beyond(model, run) == []
+    assert command_extrapolation(model, run) == []

@@ -8,7 +8,7 @@ from softmap_edge.diagnosis.findings import Alternative, FamilyFinding, Untestab
 from softmap_edge.diagnosis.separate import families_of, next_blocks, separating
 from softmap_edge.experiment.blocks import BLOCKS
 from softmap_edge.experiment.choose import Experiment, program
-from softmap_edge.experiment.simulate import Question
+from softmap_edge.experiment.simulate import OpenQuestion
 
 REGISTRY = {effect["name"]: effect for effect in _core.effects()}
 
@@ -64,11 +64,11 @@ def experiment(name, questions, minutes=1.0):
 
 
 def test_a_block_that_separates_families_is_recorded_before_a_better_one_that_separates_laws():
-    law = Question(("backlash",), ("hysteresis",))
-    apart = Question(("backlash",), ("latency",), families=("memory", "delay"))
+    law = OpenQuestion(("backlash",), ("hysteresis",))
+    apart = OpenQuestion(("backlash",), ("latency",), families=("memory", "delay"))
     quick, slow = experiment("quick", [(law, 1e4)]), experiment("slow", [(apart, 30.0)], minutes=3.0)
     assert [one.block for one in program([quick, slow])] == ["slow", "quick"]
-    plain = Question(("backlash",), ("latency",))  # without the families, the order in which they were given
+    plain = OpenQuestion(("backlash",), ("latency",))  # without the families, the order in which they were given
     assert [one.block for one in program([quick, experiment("slow", [(plain, 30.0)], minutes=3.0)])][0] == "quick"
 
 

@@ -14,7 +14,7 @@ from recorded_arms import arc, recorded, wander
 
 from softmap_edge import Run, diagnose, learn_model, load_bundle, save_bundle
 from softmap_edge.diagnosis.document import Diagnosis
-from softmap_edge.diagnosis.taught import Taught, with_unknown
+from softmap_edge.diagnosis.taught import TaughtRuns, with_unknown
 from softmap_edge.errors import ReportError
 from softmap_edge.report.families import learned_section
 from softmap_edge.rod.learn import learn, learned_model
@@ -130,10 +130,10 @@ def test_the_page_shows_it_with_what_a_file_says_escaped(same):
 
 def test_a_described_rod_shows_static_effects_in_the_run_that_taught_it():
     """The rod of a robot.toml has few numbers, so it does not follow every static effect."""
-    teacher = Taught(runs=(1,), free=False)
+    teacher = TaughtRuns(runs=(1,), free=False)
     assert not teacher.remaps and "only as far as the rod of its robot.toml" in str(teacher)
-    assert Taught(runs=(1,), free=True, static=True).remaps
-    assert not Taught(runs=(1,), free=True).remaps  # it was solved with the memory that was found
+    assert TaughtRuns(runs=(1,), free=True, static=True).remaps
+    assert not TaughtRuns(runs=(1,), free=True).remaps  # it was solved with the memory that was found
 
 
 @pytest.mark.parametrize("name", ["vio000", "vio090", "arts_30lb_05hz_1in"])
@@ -162,7 +162,7 @@ def test_a_memory_without_a_law_is_kept_with_the_model_and_reported_if_a_run_sho
     (one,) = model.learned_in
     assert (one.name, one.law, model.chain_names) == ("", "unknown", ()) and one.after_mm < 0.9 * one.before_mm
     assert f"unknown law of {one.family}" in str(one) and "not in the model" in str(one)
-    changes = with_unknown(model, {"verdict": "nothing", "sentence": "Nothing is missing."}, Taught())
+    changes = with_unknown(model, {"verdict": "nothing", "sentence": "Nothing is missing."}, TaughtRuns())
     (family,) = changes["families"]
     assert (changes["verdict"], family.name, family.law) == ("partly_explained", one.family, "unknown")
     sentence = changes["sentence"]
@@ -170,10 +170,10 @@ def test_a_memory_without_a_law_is_kept_with_the_model_and_reported_if_a_run_sho
         "Nothing is missing."
     )
     assert family.moved_mm**2 == pytest.approx(one.before_mm**2 - one.after_mm**2)
-    assert with_unknown(model, {"verdict": "identified", "sentence": ""}, Taught()) == {}
+    assert with_unknown(model, {"verdict": "identified", "sentence": ""}, TaughtRuns()) == {}
     other = {"verdict": "partly_explained", "sentence": "A delay.", "effects": (), "faults": ()}
-    assert with_unknown(model, other, Taught()) == {}  # another run may show another one
-    again = with_unknown(model, other, Taught(runs=(1,)))  # the runs that taught the model cannot
+    assert with_unknown(model, other, TaughtRuns()) == {}  # another run may show another one
+    again = with_unknown(model, other, TaughtRuns(runs=(1,)))  # the runs that taught the model cannot
     assert again["families"] == changes["families"] and "A delay." not in again["sentence"]
     page = learned_section({"learned_in": [one.to_dict()]})
     assert f"unknown law of {one.family}, not in the model" in page

@@ -16,7 +16,7 @@ from two_levels import judged, law, played
 from softmap_edge import _core, builtin_model, diagnose
 from softmap_edge.diagnosis import acceptance, search, together
 from softmap_edge.diagnosis.decision import in_one_fold
-from softmap_edge.diagnosis.families import Body, State, applied, families, linearised, ranked
+from softmap_edge.diagnosis.families import FeatureBody, State, applied, families, linearised, ranked
 from softmap_edge.diagnosis.fits import Fits
 from softmap_edge.diagnosis.laws import capped_at_events, law_of
 from softmap_edge.diagnosis.outcome import Outcome, Step
@@ -164,7 +164,7 @@ def play():
     effects = ["gain", "backlash", "latency", "creep", "coupling", "mount"]
     problem = problem_of(Record(MODEL, finger_run(acting=lambda u: played(u, [1.2, 1.2]))), effects)
     fits = Fits(problem, effects)
-    state = State(Body(problem, effects), fits.null)
+    state = State(FeatureBody(problem, effects), fits.null)
     return fits, state, ranked(state, families(), [])
 
 
@@ -327,7 +327,7 @@ def test_laws_at_once_are_asked_before_the_other_families_only_if_they_explain_a
     candidates = ["gain", "backlash", "latency", "anchor_slip", "creep"]
     problem = problem_of(Record(MODEL, run), candidates)
     fits = Fits(problem, candidates)
-    state = State(Body(problem, candidates), fits.null)
+    state = State(FeatureBody(problem, candidates), fits.null)
     null = ranked(state, [], []).found
     home = {family.name: family for family in families()}
 
@@ -351,7 +351,7 @@ def test_an_event_is_confirmed_only_beyond_ordinary_imperfections():
     candidates = ["backlash", "anchor_slip"]
     problem = problem_of(Record(MODEL, finger_run(acting=lambda u: played(u + shift, [1.6, 1.6]))), candidates)
     fits = Fits(problem, candidates)
-    state = State(Body(problem, candidates), fits.null)
+    state = State(FeatureBody(problem, candidates), fits.null)
     null = ranked(state, [], []).found
     few = law_of(state, fits, ("backlash", "anchor_slip"), null)
     outcome = Outcome(state.body, fits, fits, state, null, null)

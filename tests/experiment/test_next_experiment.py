@@ -116,7 +116,7 @@ def test_every_effect_of_the_library_can_be_asked_for():
     hidden = [{"name": name, "why": "", "experiment": ""} for name in names]
     ranked = next_experiment(MODEL, document(not_testable=hidden), [])
     assert {name for e in ranked for name in e.settles} == set(names)
-    assert not {name for name in names if MODEL.lacking(name)} & {n for e in ranked if e.plan for n in e.settles}
+    assert not {name for name in names if MODEL.missing_for(name)} & {n for e in ranked if e.plan for n in e.settles}
 
 
 def test_blocks_are_taken_until_all_is_settled_or_time_is_up(ambiguous):

@@ -12,7 +12,7 @@ from softmap_edge.checks.lost_points import lost_points, without_lost
 from softmap_edge.checks.summary import summary
 from softmap_edge.cli import main
 from softmap_edge.comparison.comparison import compare
-from softmap_edge.diagnosis.clean import sound
+from softmap_edge.diagnosis.clean import clean_run
 from softmap_edge.errors import RunError
 from softmap_edge.logs.guess import guess_mapping
 from softmap_edge.logs.importer import import_logs, read_mapping
@@ -221,7 +221,7 @@ def test_what_is_not_seen_is_no_error_and_teaches_nothing():
     model = learned_model(clean, fits[1])
     errors = [compare(model, one).error["rms_mm"] for one in (run, clean)]
     assert errors[0] == pytest.approx(errors[1]) and errors[0] < 0.2
-    found = sound(model, run)
+    found = clean_run(model, run)
     assert any("at exactly (0, 0, 0)" in remark for remark in found.remarks)
     assert not np.any(found.run.visible & ~seen)
     assert without_lost(clean)[0] is clean

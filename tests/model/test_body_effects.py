@@ -8,7 +8,7 @@ from finger_runs import finger_run
 from laws import slot
 
 from softmap_edge import _core, builtin_model
-from softmap_edge.diagnosis.evidence import shown, unseen
+from softmap_edge.diagnosis.evidence import detectability, unseen
 from softmap_edge.diagnosis.fit import Problem
 from softmap_edge.diagnosis.prepare import problem_of
 from softmap_edge.diagnosis.records import record_of
@@ -56,10 +56,10 @@ def test_stiffness_is_recovered_under_a_load_and_not_testable_without():
     problem = problem_of(record_of(MODEL, heavy), ["stiffness", "gain"])
     fit = problem.fit(("stiffness",), [problem.space(("stiffness",)).start])
     assert fit.params["stiffness.amount"] == pytest.approx(-0.35, rel=0.05)
-    moved, white = shown(problem, "stiffness")
+    moved, white = detectability(problem, "stiffness")
     assert unseen(moved, float(np.linalg.norm(white))) is None
     hanging = loaded_run((), {}, 0.0, (0.0, 0.0, 1.0))
-    moved, white = shown(problem_of(record_of(MODEL, hanging), ["stiffness", "gain"]), "stiffness")
+    moved, white = detectability(problem_of(record_of(MODEL, hanging), ["stiffness", "gain"]), "stiffness")
     assert "moves the centreline by only 0.0" in str(unseen(moved, float(np.linalg.norm(white))))
 
 

@@ -9,7 +9,7 @@ from recorded_arms import arc, recorded, wander
 from softmap_edge import Run, diagnose, learn_model, load_bundle, save_bundle
 from softmap_edge.errors import BundleError, SoftmapError
 from softmap_edge.model.coverage import LARGER, Coverage
-from softmap_edge.model.training_range import beyond
+from softmap_edge.model.training_range import command_extrapolation
 
 
 def diagonal(n=400, seed=0):
@@ -57,13 +57,13 @@ def run_of(u, t):
 
 def test_a_run_that_leaves_them_is_warned_of_in_one_line():
     model, t = learn_model(recorded(seconds=60.0)), np.arange(0.0, 30.0, 0.02)
-    assert beyond(model, run_of(wander(t + 3.0, 9.0), t)) == []
-    (farther,) = beyond(model, run_of(wander(t, 15.0), t))
+    assert command_extrapolation(model, run_of(wander(t + 3.0, 9.0), t)) == []
+    (farther,) = command_extrapolation(model, run_of(wander(t, 15.0), t))
     assert "channel 0 goes from" in farther and "extrapolates" in farther and "leverage up to" in farther
     together = learn_model(run_of(np.repeat(wander(t)[:, :1], 2, axis=1) + 0.3 * wander(t + 9.0), t))
     reach = 0.6 * together.command_range[:, 1].min()
     apart = reach * np.stack([np.sin(t), -np.sin(t)], axis=1)
-    (said,) = beyond(together, run_of(apart, t))
+    (said,) = command_extrapolation(together, run_of(apart, t))
     assert "they were never moved together like this" in said and "goes from" not in said
 
 

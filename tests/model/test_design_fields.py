@@ -100,8 +100,8 @@ def test_a_bundle_without_these_fields_is_read_and_answers_loads_as_before(old):
     t = np.arange(float(len(COMMANDS)))
     run = Run(t=t, command=COMMANDS, t_seen=t, gravity=np.array([0.6, 0.0, 0.8]), load=np.full(len(t), 20.0))
     np.testing.assert_allclose(old.predict(run), builtin_model().predict(run), atol=1e-4)  # float32
-    assert old.lacking("payload") == [] and old.lacking("tendon_stretch") == []
-    assert old.lacking("twist") == ["twist"] and builtin_model().lacking("twist") == []
+    assert old.missing_for("payload") == [] and old.missing_for("tendon_stretch") == []
+    assert old.missing_for("twist") == ["twist"] and builtin_model().missing_for("twist") == []
     with pytest.raises(SoftmapError, match="field twist, which this model does not have"):
         moved(old, "twist", {"twist.angle": 3.0})
 

@@ -12,7 +12,7 @@ from softmap_edge import Diagnosis, _core, builtin_model, diagnose, learn_model,
 from softmap_edge import save_bundle as save
 from softmap_edge.cli import main
 from softmap_edge.errors import SoftmapError
-from softmap_edge.model.elastic_rod import ROUTING, ElasticParameters, Layout
+from softmap_edge.model.elastic_rod import ROUTING, ElasticParameters, RodLayout
 from softmap_edge.model.model import Model
 from softmap_edge.model.structure import Structure
 from softmap_edge.rod.learn import learned_model
@@ -71,7 +71,7 @@ def test_fields_of_a_changed_body_are_those_of_a_rod_with_other_numbers(slack):
 def test_tendons_that_run_elsewhere_are_found_on_a_rod():
     """Two pairs of cables, one of them turned by 8 degrees; a rod of more than three commands has no such fields."""
     numbers = [[0.0], 0.5 * np.pi * np.arange(4), [6.0] * 4, [0.5] * 4, [30.0] * 2, [55.0] * 2, np.zeros(9)]
-    layout = Layout(2, 2, (1,) * 4, (0, 1, 0, 1), (1.0, 1.0, -1.0, -1.0), (0.5, 1.0, 1.5, 2.0))
+    layout = RodLayout(2, 2, (1,) * 4, (0, 1, 0, 1), (1.0, 1.0, -1.0, -1.0), (0.5, 1.0, 1.5, 2.0))
     rod = ElasticParameters(layout, np.concatenate(numbers), 1.0)
     aside = rod.numbers.copy()
     aside[[1, 3]] += np.radians(8.0)
@@ -184,8 +184,8 @@ def test_rods_that_push_are_not_called_slack():
 
 def test_a_law_that_the_model_does_not_have_is_a_question_only_if_asked(run, learned, taken_for_rods):
     cables = learned_model(run, learned)
-    assert cables.lacking("slack") == ["slack"] and taken_for_rods[1].lacking("slack") == []
-    assert builtin_model().lacking("slack") == ["slack"]
+    assert cables.missing_for("slack") == ["slack"] and taken_for_rods[1].missing_for("slack") == []
+    assert builtin_model().missing_for("slack") == ["slack"]
     named = [item.name for item in diagnose(cables, run, effects=["slack", "lag"]).not_testable]
     assert "slack" in named
     with pytest.raises(SoftmapError, match="'slack' of the prior"):

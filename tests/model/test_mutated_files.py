@@ -251,14 +251,14 @@ def use_rig(path):
     from rigs import calibration
 
     from softmap_edge.model.bundle import builtin_model
-    from softmap_edge.robot.servo.limits import combined
+    from softmap_edge.robot.servo.limits import effective_limits
     from softmap_edge.robot.servo.rig import read_rig
 
     rig = read_rig(path)
     rig.write(path.with_name("again.toml"))
     assert read_rig(path.with_name("again.toml")) == rig
-    str(combined(rig, replace(builtin_model(), calibration=calibration())))
-    combined(rig, replace(builtin_model(), calibration=calibration())).table()
+    str(effective_limits(rig, replace(builtin_model(), calibration=calibration())))
+    effective_limits(rig, replace(builtin_model(), calibration=calibration())).table()
 
 
 def use_diagnosis(path):
@@ -304,7 +304,7 @@ def use_bundle(path):
     run = Run(t=[0.0, 1.0], command=np.ones((2, model.channels)), t_seen=[0.5], gravity=[1.0, 0, 0], load=5.0)
     model.predict(run)
     model.features(run)
-    if model.restorable:
+    if model.has_earlier_numbers:
         model.with_effects((), {}).predict(run)
 
 

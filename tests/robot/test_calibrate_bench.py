@@ -13,7 +13,7 @@ from softmap_edge.commands.servo import calibrate as servo_calibrate
 from softmap_edge.errors import CalibrationError
 from softmap_edge.model.bundle import builtin_model, load_bundle
 from softmap_edge.robot.commissioning.first_calibration import CALIPER, COUPLING, bench_calibration, bends, radius
-from softmap_edge.robot.servo.limits import combined
+from softmap_edge.robot.servo.limits import effective_limits
 from softmap_edge.robot.servo.rig import Rig, RigServo
 
 R = 2.33  # mm
@@ -45,7 +45,7 @@ def test_pulley_and_signs_make_a_map_that_drives(tmp_path, capsys):
     assert found.frames == 0 and "no run" in found.run
     assert found.window == pytest.approx((-16.0 / TICK, 16.0 / TICK), abs=1.0), "the model's range, in ticks"
     assert any("coupling" in line for line in told["warnings"]) and any("--ruler" in line for line in told["warnings"])
-    assert combined(rig(), load_bundle(tmp_path / "finger")).table()["servos"][0]["high"] > HOME + 4000
+    assert effective_limits(rig(), load_bundle(tmp_path / "finger")).table()["servos"][0]["high"] > HOME + 4000
 
 
 def test_a_ruler_refines_the_radius(tmp_path, capsys):

@@ -18,7 +18,7 @@ from softmap_edge.robot.link.session import new_key
 from softmap_edge.robot.servo import emergency
 from softmap_edge.robot.servo.bus import opened
 from softmap_edge.robot.servo.home_mark import set_mark
-from softmap_edge.robot.servo.limits import combined
+from softmap_edge.robot.servo.limits import effective_limits
 from softmap_edge.robot.servo.rig import Rig, RigServo
 
 
@@ -169,7 +169,7 @@ def test_what_combined_drives_is_no_fault(tmp_path):
     save_bundle(replace(builtin_model(), calibration=plain, safety=None), tmp_path / "b")
     with bench() as (_, rig, _):
         rig.write(tmp_path / "rig.toml")
-        combined(rig, load_bundle(tmp_path / "b")).table()
+        effective_limits(rig, load_bundle(tmp_path / "b")).table()
         lines = doctor.examine(rig=tmp_path / "rig.toml", bundle=tmp_path / "b").lines
         assert [named(lines, name).state for name in ("bundle", "calibration", "safety.toml", "limits")] == [OK] * 4
         assert "derived from the model each time" in named(lines, "safety.toml").found

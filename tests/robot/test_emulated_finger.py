@@ -129,7 +129,7 @@ def test_a_whole_robot_is_emulated_by_one_command(tmp_path, model):
             with opened(rig.port, rig.baud) as bus:
                 number, firmware = bus.ping(servo.id)
                 values = setup.registers(bus, servo.id)
-            assert setup.complaints(setup.Found(rig.port, rig.baud, servo.id, number, firmware), values) == []
+            assert setup.complaints(setup.ServoState(rig.port, rig.baud, servo.id, number, firmware), values) == []
         until(lambda: camera.taken > 5)
         frames = camera.seen()
         assert frames[-1].points.shape == model.rest.shape

@@ -103,7 +103,7 @@ PASSES = {
 def test_what_passes_with_the_power_is_written_anew_by_a_start(register):
     with bench() as (bus, rig, _):
         assert main(["servo", "setup", "--port", bus.path, "--baud", str(BAUD), "--id", "1"]) == 0
-        kept = {SET_UP: {"servo_1": setup.gains(setup.Found(bus.path, BAUD, 1, 1200, 46))}}
+        kept = {SET_UP: {"servo_1": setup.gains(setup.ServoState(bus.path, BAUD, 1, 1200, 46))}}
         known = Rig(rig.port, rig.baud, rig.servos, made=kept)
         with opened(bus.path, BAUD) as port:
             before = setup.registers(port, 1)

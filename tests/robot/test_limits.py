@@ -20,7 +20,7 @@ from softmap_edge.robot.commissioning.setup import registers
 from softmap_edge.robot.control.controller import Controller
 from softmap_edge.robot.servo.bus import opened
 from softmap_edge.robot.servo.home_mark import set_mark
-from softmap_edge.robot.servo.limits import combined
+from softmap_edge.robot.servo.limits import effective_limits
 from softmap_edge.robot.servo.loop_limits import loop_limits, servo_limits
 from softmap_edge.robot.servo.models import servo_model
 from softmap_edge.robot.servo.rig import Rig, RigServo, read_rig
@@ -45,7 +45,7 @@ def limit(found, name, servo=0):
 
 
 def test_without_a_ceiling_softmaps_own_defaults_are_tightened_by_the_finger():
-    found = combined(rig(), FINGER, turned(np.eye(2) / 280.0))
+    found = effective_limits(rig(), FINGER, turned(np.eye(2) / 280.0))
     assert (limit(found, "low").value, limit(found, "high").value) == (-4480, 4480)
     assert limit(found, "high").by == "safety.toml" and "16 mm" in limit(found, "high").why
     assert (limit(found, "slew").value, limit(found, "slew").by) == (2000.0, "softmap"), "8 mm/s would be 2240"
@@ -58,14 +58,14 @@ def test_without_a_ceiling_softmaps_own_defaults_are_tightened_by_the_finger():
 
 def test_the_ceiling_stands_in_place_of_the_defaults_and_a_bundle_only_tightens_it():
     high = (("slew", 6000.0), ("hold", 10.0), ("stale", 1.0), ("ramp", 0.0), ("band", 0.0), ("jump", (100.0, 9000.0)))
-    found = combined(rig(high), FINGER, turned(np.eye(2) / 280.0))
+    found = effective_limits(rig(high), FINGER, turned(np.eye(2) / 280.0))
     assert limit(found, "slew").value == pytest.approx(8.0 * 280) and limit(found, "slew").by == "safety.toml"
     assert (limit(found, "hold").value, limit(found, "hold").by) == (2.0, "safety.toml")
     assert limit(found, "stale").value == 0.25 and limit(found, "ramp").value == 1.0, "the longer ramp is the stricter"
     assert limit(found, "band").value == 0.02 and limit(found, "band").by == "safety.toml"
     assert limit(found, "jump").value == (100.0, pytest.approx(32 * 280)) and limit(found, "jump").by == "rig.toml"
     low = (("slew", 500.0), ("hold", 0.5), ("current_mA", 90.0), ("high", 1000.0), ("late", 0.1), ("turns", 1.0))
-    found = combined(rig(low, current_mA=120.0, low=-300), FINGER, turned(np.eye(2) / 280.0))
+    found = effective_limits(rig(low, current_mA=120.0, low=-300), FINGER, turned(np.eye(2) / 280.0))
     for name, value in (*low, ("low", -300)):
         one = limit(found, name.removesuffix("_mA"))
         assert (one.value, one.by) == (value, "rig.toml"), name
@@ -75,7 +75,7 @@ def test_the_ceiling_stands_in_place_of_the_defaults_and_a_bundle_only_tightens_
 
 @pytest.mark.parametrize("ceiling, ticks", [((), 720.0), ((("slew", 900.0),), 400.0), ((("following", 300.0),), 300.0)])
 def test_a_servo_may_be_as_late_as_the_trunks_were_at_its_speed_unless_the_bench_says_otherwise(ceiling, ticks):
-    found = combined(rig(ceiling), FINGER, turned(np.eye(2) / 280.0))
+    found = effective_limits(rig(ceiling), FINGER, turned(np.eye(2) / 280.0))
     assert limit(found, "following").value == ticks
     assert servo_limits(MODEL, HOME, (-9.0, 9.0))["following"] == 720.0
 
@@ -86,8 +86,8 @@ def test_whatever_a_finger_says_the_ceiling_holds():
         FINGER.safety, slew=640.0, acceleration=64_000.0, tension=25.0, stale=2.0, hold=60.0, slacken=60.0, ramp=0.0,
         band=0.0, turns=50.0, burst=50.0, jump=(32.0, 32.0),
     )  # fmt: skip
-    strict = combined(rig(), replace(FINGER, safety=None), turned(np.eye(2) / 280.0))
-    found = combined(rig(), replace(FINGER, safety=loose), turned(np.eye(2) / 280.0))
+    strict = effective_limits(rig(), replace(FINGER, safety=None), turned(np.eye(2) / 280.0))
+    found = effective_limits(rig(), replace(FINGER, safety=loose), turned(np.eye(2) / 280.0))
     own = loop_limits([servo_limits(MODEL, 0, (-4480, 4480))] * 2)
     for one in (*found.servos[0], *found.robot):
         usual = own[one.name] if one.name in own else own["servos"][0][one.name]
@@ -106,7 +106,7 @@ def test_all_servos_at_once_stay_inside_the_window_and_the_rates_of_the_finger()
         slope = np.diag(rng.uniform(0.5, 2.0, 2) * rng.choice([-1, 1], 2)) + rng.uniform(-0.4, 0.4, (2, 2))
         b = rng.uniform(-3.0, 3.0, 2)
         map_ = turned(slope / 280.0, b)
-        found = combined(rig((("slew", 20_000.0), ("acceleration", 1e6))), FINGER, map_)
+        found = effective_limits(rig((("slew", 20_000.0), ("acceleration", 1e6))), FINGER, map_)
         ends = np.array([[limit(found, name, k).value for name in ("low", "high")] for k in (0, 1)])
         corners = np.array([[x, y] for x in ends[0] for y in ends[1]])
         commands = map_.commands(HOME + corners)
@@ -115,7 +115,7 @@ def test_all_servos_at_once_stay_inside_the_window_and_the_rates_of_the_finger()
         for name, most in (("slew", 8.0), ("acceleration", 80.0)):
             rate = np.array([limit(found, name, k).value for k in (0, 1)])
             assert (np.abs(slope / 280.0) @ rate).max() <= most * (1 + 1e-9)
-        reach = combined(rig(), FINGER, map_).calibration.usable(FINGER.command_range)
+        reach = effective_limits(rig(), FINGER, map_).calibration.usable(FINGER.command_range)
         for u in np.array([[x, y] for x in reach[0] for y in reach[1]]):
             ticks = map_.ticks(u[None])[0] - HOME
             assert np.all(ticks >= ends[:, 0] - 1) and np.all(ticks <= ends[:, 1] + 1), "a plan stays inside"
@@ -123,38 +123,38 @@ def test_all_servos_at_once_stay_inside_the_window_and_the_rates_of_the_finger()
 
 def test_the_calibrations_window_and_the_turns_of_a_bench_count():
     narrow = turned(np.eye(2) / 280.0, window=(-500.0, 700.0))
-    found = combined(rig(), FINGER, narrow)
+    found = effective_limits(rig(), FINGER, narrow)
     assert (limit(found, "low").value, limit(found, "high").value) == (-500, 700)
     assert limit(found, "low").by == "the calibration" and found.calibration.window == (-500.0, 700.0)
     away = Rig("/dev/none", BAUD, (RigServo(1, MODEL, HOME + 8192 + 10), RigServo(2, MODEL, HOME - 4096)))
-    found = combined(away, FINGER, narrow)
+    found = effective_limits(away, FINGER, narrow)
     np.testing.assert_array_equal(found.calibration.home, [HOME + 8192, HOME - 4096])
     assert found.table()["servos"][0]["high"] == HOME + 8192 + 700, "where the calibration says, whatever home is"
     astray = Rig("/dev/none", BAUD, (RigServo(1, MODEL, HOME + 1500), RigServo(2, MODEL, HOME)))
     with pytest.raises(ServoError, match=r"servo 1: home of the bench is 3500, .* 1500 ticks apart .* allowed are 269"):
-        combined(astray, FINGER, turned(np.eye(2) / 280.0))
+        effective_limits(astray, FINGER, turned(np.eye(2) / 280.0))
 
 
 def test_what_cannot_be_driven_is_refused_with_its_reason():
     with pytest.raises(ServoError, match="holds no calibration"):
-        combined(rig(), FINGER)
+        effective_limits(rig(), FINGER)
     with pytest.raises(ServoError, match=r"at home \[17\.0, 0\.0\] mm act, outside the window"):
-        combined(rig(), FINGER, turned(np.eye(2) / 280.0, (17.0, 0.0)))
+        effective_limits(rig(), FINGER, turned(np.eye(2) / 280.0, (17.0, 0.0)))
     one = Rig("/dev/none", BAUD, (RigServo(1, MODEL, HOME),))
     with pytest.raises(ServoError, match="the rig has 1 servos, the calibration 2"):
-        combined(one, FINGER, turned(np.eye(2) / 280.0))
+        effective_limits(one, FINGER, turned(np.eye(2) / 280.0))
     homeless = Rig("/dev/none", BAUD, (RigServo(1, MODEL, HOME), RigServo(2, MODEL)))
     with pytest.raises(ServoError, match="servo 2 has no home"):
-        combined(homeless, FINGER, turned(np.eye(2) / 280.0)).table()
+        effective_limits(homeless, FINGER, turned(np.eye(2) / 280.0)).table()
     short = rig((("stale", 0.005),))
     with pytest.raises(ServoError, match=r"stale is 0\.005 s; allowed is .*\(rig\.toml says so\)"):
-        combined(short, FINGER, turned(np.eye(2) / 280.0)).table()
+        effective_limits(short, FINGER, turned(np.eye(2) / 280.0)).table()
 
 
 @pytest.mark.parametrize("name", ["jog_travel", "jog_slew", "jog_current", "jump", "turns", "following", "hot"])
 def test_a_limit_that_the_guard_refuses_is_named_as_in_the_table_with_who_set_it(name):
     beyond = (1.0, 2e6) if name == "jump" else 0.01 if name in ("following", "hot") else 5000.0
-    found = combined(rig(((name, beyond),)), replace(FINGER, safety=None), turned(np.eye(2) / 280.0))
+    found = effective_limits(rig(((name, beyond),)), replace(FINGER, safety=None), turned(np.eye(2) / 280.0))
     if name in ("jump", "turns"):  # the finger's is stricter: put the bench's in its place
         robot = tuple(replace(one, value=beyond, by="rig.toml") if one.name == name else one for one in found.robot)
         found = replace(found, robot=robot)
@@ -238,7 +238,7 @@ def test_the_verb_prints_every_limit_and_who_set_it(tmp_path, capsys):
     assert main([*argv, "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
     assert next(iter(told)) == "schema" and told["schema"] == "softmap.limits/1" and told["refused"] is None
-    table = combined(read_rig(tmp_path / "rig.toml"), calibrated).table()
+    table = effective_limits(read_rig(tmp_path / "rig.toml"), calibrated).table()
     listed = {one["name"]: one for one in (*told["servos"][0]["limits"], *told["robot"])}
     assert set(table["servos"][0]) - {"home"} | set(table) - {"servos", "period"} == set(listed), "none is left out"
     assert listed["slew"]["by"] == "rig.toml" and listed["hold"]["value"] == 1.5
@@ -259,7 +259,7 @@ def test_a_servo_that_caps_no_current_gets_a_cap_of_its_pwm_by_the_same_limit():
             set_mark(ours, id, HOME)
     ours = Rig(bus.path, BAUD, tuple(RigServo(id, "XL430-W250", HOME) for id in (1, 2)))
     finger = replace(FINGER, calibration=turned(np.eye(2) / 280.0))
-    found = combined(ours, finger)
+    found = effective_limits(ours, finger)
     current = limit(found, "current").value
     share = current / 1400.0
     assert 0.01 < share < 0.35, "of its stall current"
@@ -284,18 +284,20 @@ def test_a_file_allows_no_tension_that_its_model_does_not(tmp_path):
     """Neither a limit that is left out nor a simulated one that was edited raises what pulls a tendon."""
     bundle = save_bundle(replace(FINGER, calibration=turned(np.eye(2) / 280.0)), tmp_path / "b")
     text = (bundle / "safety.toml").read_text()
-    usual = limit(combined(rig(), load_bundle(bundle)), "current").value
+    usual = limit(effective_limits(rig(), load_bundle(bundle)), "current").value
     silent = re.sub(r"\n\[tendon\]\ntension_n = .*\n", "\n", text)
     assert silent != text
     (bundle / "safety.toml").write_text(silent)
-    assert limit(combined(rig(), load_bundle(bundle)), "current").value == pytest.approx(usual, abs=0.5)
+    assert limit(effective_limits(rig(), load_bundle(bundle)), "current").value == pytest.approx(usual, abs=0.5)
     edited = re.sub(r"(\[simulated\].*\n)tension_n = .*", r"\1tension_n = 300.0", text)
     edited = re.sub(r"(\[tendon\]\n)tension_n = .*", r"\1tension_n = 80.0", edited)
     (bundle / "safety.toml").write_text(edited)
     with pytest.raises(BundleError, match=r"tension_n = 80, allowed is up to 25\.\d* N, 3 times what the model"):
-        combined(rig(), load_bundle(bundle))
+        effective_limits(rig(), load_bundle(bundle))
     (bundle / "safety.toml").write_text(re.sub(r"(\[tendon\]\n)tension_n = .*", r"\1tension_n = 20.0", text))
-    assert usual < limit(combined(rig(), load_bundle(bundle)), "current").value < 1.7 * usual, "as its user knows"
+    assert usual < limit(effective_limits(rig(), load_bundle(bundle)), "current").value < 1.7 * usual, (
+        "as its user knows"
+    )
 
 
 def test_a_ceiling_of_hot_alone_is_one_of_warm_too(tmp_path):
@@ -305,7 +307,7 @@ def test_a_ceiling_of_hot_alone_is_one_of_warm_too(tmp_path):
         ((("hot", 79.0),), 55.0, "the servo's data"),
         ((("hot", 50.0), ("warm", 45.0)), 45.0, "rig.toml"),
     ):
-        found = combined(rig(values), calibrated)
+        found = effective_limits(rig(values), calibrated)
         limits = {one.name: one for one in found.servos[0]}
         assert (limits["warm"].value, limits["warm"].by) == (warm, by)
         assert limits["hot"].value <= 65.0, "a servo's own data is never passed"
@@ -321,7 +323,7 @@ def test_the_loop_keeps_to_the_limits_of_the_finger():
     finger = replace(FINGER, safety=safety, calibration=calibration())
     with bench() as (bus, rig, _):
         rig = replace(rig, ceiling=Ceiling((("current_mA", 500.0),)))
-        found = combined(rig, replace(finger, safety=replace(safety, tension=None)), rate=200.0)
+        found = effective_limits(rig, replace(finger, safety=replace(safety, tension=None)), rate=200.0)
         with Controller(rig, found.calibration, found.table()) as robot:
             assert robot.engage() == pytest.approx([0.0, 0.0])
             assert robot.target([2.0, 0.0]) == pytest.approx([0.8, 0.0], abs=0.01)

@@ -148,7 +148,7 @@ NUMBERS = {
 @pytest.mark.parametrize("names", EFFECTS.values(), ids=EFFECTS)
 def test_what_is_told_while_it_runs_is_the_error_of_the_whole_run(names):
     model = with_map()
-    names = [name for name in names if not model.lacking(name)]
+    names = [name for name in names if not model.missing_for(name)]
     chain = model.with_effects(names, {}).chain
     start = dict(zip(chain.labels, chain.start)) | {k: v for k, v in NUMBERS.items() if k in chain.labels}
     model = model.with_effects(names, start)

@@ -11,7 +11,7 @@ from rigs import HOME, angles, torque
 
 from softmap_edge.robot.link.session import new_key, read_key
 from softmap_edge.robot.teleop.hand import Hand, View
-from softmap_edge.robot.teleop.hand_source import FarEyes
+from softmap_edge.robot.teleop.hand_source import RemoteHandSource
 from softmap_edge.robot.teleop.landmarks import Message, Receiver, Sender
 from softmap_edge.robot.teleop.own_hand import ANOTHER, SIDES, OwnHand
 
@@ -187,7 +187,7 @@ def link(tmp_path):
     new_key(path)
     key = read_key(path)
     with Receiver("127.0.0.1", 0, key) as receiver, Sender("127.0.0.1", receiver.port, key) as sender:
-        yield sender, lambda view: FarEyes(receiver, view)
+        yield sender, lambda view: RemoteHandSource(receiver, view)
 
 
 @pytest.mark.parametrize("which", ("any", "right"))

@@ -17,7 +17,7 @@ from softmap_edge.robot.control.controller import Controller
 from softmap_edge.robot.servo import presence
 from softmap_edge.robot.servo.bus import heard, opened
 from softmap_edge.robot.servo.examined import examined, members, refusal, started
-from softmap_edge.robot.servo.limits import combined
+from softmap_edge.robot.servo.limits import effective_limits
 from softmap_edge.robot.servo.presence import listened, why_silent
 from softmap_edge.robot.servo.rig import read_rig
 
@@ -198,7 +198,7 @@ def test_the_doctor_holds_a_current_limit_against_the_limits_in_force(tmp_path):
     save_bundle(model, tmp_path / "finger")
     with bench() as (bus, rig, _):
         rig.write(tmp_path / "rig.toml")
-        cap = int(combined(rig, model).table()["servos"][0]["current"])
+        cap = int(effective_limits(rig, model).table()["servos"][0]["current"])
         for limit, states in ((cap + 50, ["ok"]), (cap - 50, ["fault"])):
             leave(bus.path, BAUD, current_limit=limit)
             lines = doctor.examine(tmp_path / "rig.toml", tmp_path / "finger").lines

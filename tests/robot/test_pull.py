@@ -16,7 +16,7 @@ from softmap_edge.errors import ServoError
 from softmap_edge.model.bundle import builtin_model, save_bundle
 from softmap_edge.robot.commissioning.jog import Held, Jog
 from softmap_edge.robot.commissioning.pull import LEAST_READ, MARGIN, _stand, pull
-from softmap_edge.robot.servo.limits import IDLE, combined
+from softmap_edge.robot.servo.limits import IDLE, effective_limits
 from softmap_edge.robot.servo.rig import Rig, RigServo, read_rig
 from softmap_edge.robot.servo.rig_ceiling import Ceiling
 
@@ -66,7 +66,7 @@ def test_the_current_at_the_stroke_becomes_the_ceiling(folder, capsys):
         assert low["mA"] == pytest.approx(100.0, abs=12.0) and high["mA"] == pytest.approx(120.0, abs=12.0)
         assert servo.current_mA == one["current_mA"] == pytest.approx(MARGIN * high["mA"] + IDLE * 1470.0, abs=0.1)
         assert "ticks/s" in rig.made["pulled"][f"servo_{servo.id}"]
-    limits = {one.name: one for one in combined(replace(rig, ceiling=Ceiling()), FINGER).servos[0]}
+    limits = {one.name: one for one in effective_limits(replace(rig, ceiling=Ceiling()), FINGER).servos[0]}
     assert limits["current"].value <= rig.servos[0].current_mA, "and it is in force"
 
 
@@ -122,25 +122,25 @@ class LetsGo(Held):
 def test_who_stops_it_gets_no_ceiling():
     with bench() as (bus, rig, _):
         with pytest.raises(ServoError, match="stopped before its end"):
-            pull(combined(replace(rig, ceiling=QUICK), FINGER), LetsGo())
+            pull(effective_limits(replace(rig, ceiling=QUICK), FINGER), LetsGo())
         assert not torque(bus)
 
 
 def test_a_servo_without_current_and_a_stroke_beyond_a_move_are_refused():
     rig = Rig("/dev/none", BAUD, tuple(RigServo(id, "XL430-W250", HOME) for id in (1, 2)))
     with pytest.raises(ServoError, match="servo 1, a XL430-W250, reports no current: its PWM is capped instead"):
-        pull(combined(rig, FINGER), Held())
+        pull(effective_limits(rig, FINGER), Held())
     short = Rig("/dev/none", BAUD, tuple(RigServo(id, MODEL, HOME) for id in (1, 2)),
                 ceiling=Ceiling((("jog_travel", 500.0),)))  # fmt: skip
     with pytest.raises(ServoError, match=r"stroke of 900 ticks is beyond 1\.25 times the 500"):
-        pull(combined(short, FINGER), Held())
+        pull(effective_limits(short, FINGER), Held())
 
 
 def test_a_servo_that_is_silent_of_its_current_is_told(monkeypatch):
     monkeypatch.setattr(Jog, "current", np.full(2, np.nan))
     with bench() as (bus, rig, _):
         with pytest.raises(ServoError, match="servo 1 says nothing of its current"):
-            pull(combined(replace(rig, ceiling=QUICK), FINGER), Held())
+            pull(effective_limits(replace(rig, ceiling=QUICK), FINGER), Held())
         assert not torque(bus)
 
 

@@ -27,8 +27,8 @@ from softmap_edge.robot.servo import clock
 from softmap_edge.robot.servo.clock import BUSY
 from softmap_edge.robot.teleop.busy import Busy
 from softmap_edge.robot.teleop.drive import Drive
-from softmap_edge.robot.teleop.hand_source import NoEyes
-from softmap_edge.robot.teleop.mapping import Direct
+from softmap_edge.robot.teleop.hand_source import NullHandSource
+from softmap_edge.robot.teleop.mapping import DirectMapping
 from softmap_edge.run.protocol import Protocol
 
 BROKEN = re.compile(r"servo \d|silent|unplugged|without power|home the robot|servo home|watchdog|FAULT|Fault,")
@@ -159,9 +159,9 @@ def test_a_person_who_drives_goes_on_after_the_computer_was_busy():
             assert time.monotonic() - begun < 30, lines
             time.sleep(0.01)
 
-    with driven("paced") as (bus, robot, _), NoEyes() as eyes:
+    with driven("paced") as (bus, robot, _), NullHandSource() as eyes:
         kinematics = Kinematics(MODEL)
-        drive = Drive(robot, kinematics, Direct(kinematics), eyes, [fingers], say=lines.append, show=show)
+        drive = Drive(robot, kinematics, DirectMapping(kinematics), eyes, [fingers], say=lines.append, show=show)
         thread = threading.Thread(target=drive.run, daemon=True)
         thread.start()
         until(lambda: moments)

@@ -10,7 +10,7 @@ from driving import MODEL, Session, hand
 from rigs import HOME, angles, torque
 
 from softmap_edge.robot.motion.kinematics import Kinematics
-from softmap_edge.robot.teleop.mapping import Tip
+from softmap_edge.robot.teleop.mapping import TipMapping
 
 
 def test_the_hand_drives_from_its_pose_at_the_press_and_letting_go_slackens():
@@ -140,11 +140,11 @@ def test_a_knob_drives_without_a_camera_and_rests_where_the_finger_is():
 
 
 def test_the_tip_is_led_by_inverse_kinematics():
-    with Session("knob", Tip).running() as s:
+    with Session("knob", TipMapping).running() as s:
         s.presses()
         s.fingers.knob = (0.1, 0.0)
         s.until(lambda: s.moment.led is not None and s.moment.led[0] > 5)
-        wanted = Tip(Kinematics(MODEL, axes="xy")).command(s.moment.led)
+        wanted = TipMapping(Kinematics(MODEL, axes="xy")).command(s.moment.led)
         s.stands(wanted)
 
 

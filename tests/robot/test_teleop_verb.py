@@ -19,7 +19,7 @@ from softmap_edge.cli import main
 from softmap_edge.commands.teleop import teleop_arguments
 from softmap_edge.robot.link.session import read_key
 from softmap_edge.robot.teleop.hand import View
-from softmap_edge.robot.teleop.hand_source import CameraEyes, FarEyes
+from softmap_edge.robot.teleop.hand_source import CameraHandSource, RemoteHandSource
 from softmap_edge.robot.teleop.landmarks import Receiver, Sender
 from softmap_edge.robot.teleop.model_file import WHEEL
 from softmap_edge.robot.teleop.remote_sender import send
@@ -98,9 +98,13 @@ def test_landmarks_and_key_reach_the_other_computer():
     key = bytes(range(32))
     with Receiver("127.0.0.1", 0, key) as receiver:
         port = receiver.port
-        far = FarEyes(receiver, View())
+        far = RemoteHandSource(receiver, View())
         camera, finder, fingers, lines = Camera(), Finder(), Fingers("hand"), []
-        with far, CameraEyes("camera 0", camera, finder, View()) as near, Sender("127.0.0.1", port, key) as sender:
+        with (
+            far,
+            CameraHandSource("camera 0", camera, finder, View()) as near,
+            Sender("127.0.0.1", port, key) as sender,
+        ):
             done = []
             thread = threading.Thread(target=lambda: done.append(send(near, sender, fingers, None, lines.append)))
             thread.start()
@@ -139,7 +143,7 @@ def test_who_has_another_key_is_told_on_both_sides(tmp_path, capsys):
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
     lines, far = [], ("127.0.0.1", port, read_key(tmp_path / "another"))
-    with CameraEyes("camera 0", Camera(), Finder(), View()) as near, Sender(*far) as sender:
+    with CameraHandSource("camera 0", Camera(), Finder(), View()) as near, Sender(*far) as sender:
         thread = threading.Thread(target=send, args=(near, sender, None, 3.0, lines.append))
         thread.start()
         words = ["teleop", "--sim", "--camera", f"udp://127.0.0.1:{port}", "--key", str(tmp_path / "ours"), "--page"]

@@ -14,7 +14,7 @@ from finger_runs import finger_run
 
 from softmap_edge import builtin_model, diagnose
 from softmap_edge.cli import main
-from softmap_edge.diagnosis.clean import sound
+from softmap_edge.diagnosis.clean import clean_run
 from softmap_edge.errors import SoftmapError
 from softmap_edge.experiment.blocks import chosen, plan
 from softmap_edge.run.protocol import Limits, standard_protocol
@@ -257,7 +257,7 @@ def test_a_command_that_is_really_held_at_its_extreme_is_not_called_clipped(name
     seen = model.with_effects((name,), SLOW[name]).predict(run)
     ends = np.abs(made.command) >= np.abs(made.command).max(axis=0) - 1e-9
     assert np.mean(ends[np.searchsorted(run.t, run.t_seen) - 1].any(axis=1)) > 0.1
-    assert sound(model, replace(run, vertices=seen)).doubts == ()
+    assert clean_run(model, replace(run, vertices=seen)).doubts == ()
 
 
 def test_frames_out_of_order_in_a_dwell_are_set_aside_and_hide_nothing(tmp_path, capsys):
@@ -316,7 +316,7 @@ def test_a_run_without_noise_that_rests_in_a_play_is_left_alone():
     p, model = standard_protocol(), builtin_model().with_effects(("backlash",), PLAY)
     run = Run(t=p.t, command=p.command, gravity=p.gravity, t_seen=p.t_seen)
     run = Run(**{**run.arrays(), "command_unit": "mm", "vertices": model.predict(run)})
-    found = sound(builtin_model(), run)
+    found = clean_run(builtin_model(), run)
     assert found.run.frames == run.frames and found.run.visible is None and found.remarks == ()
 
 

@@ -141,7 +141,7 @@ class Arm:
         labels = Chain(names, 2).labels
         return replace(self, chain_names=tuple(names), chain_params=np.array([params[label] for label in labels]))
 
-    def lacking(self, name):
+    def missing_for(self, name):
         return []
 
     def commands(self, run):

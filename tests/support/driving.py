@@ -14,9 +14,9 @@ from softmap_edge.robot.motion.kinematics import Kinematics
 from softmap_edge.robot.teleop.drive import Drive
 from softmap_edge.robot.teleop.frames import Frame
 from softmap_edge.robot.teleop.hand import Hand, View
-from softmap_edge.robot.teleop.hand_source import CameraEyes, NoEyes
+from softmap_edge.robot.teleop.hand_source import CameraHandSource, NullHandSource
 from softmap_edge.robot.teleop.keys import Controls, Wish
-from softmap_edge.robot.teleop.mapping import Direct, Tip
+from softmap_edge.robot.teleop.mapping import DirectMapping, TipMapping
 
 MODEL = builtin_model()
 PATIENT = 15.0  # s: a busy machine
@@ -94,14 +94,18 @@ class Session:
 
     cameras = Camera
 
-    def __init__(self, source="hand", aim=Direct, options=None, **limits):
+    def __init__(self, source="hand", aim=DirectMapping, options=None, **limits):
         self.source, self.aim, self.options, self.limits = source, aim, options or {}, limits
 
     @contextmanager
     def running(self):
         self.camera, self.finder, self.fingers, self.lines = self.cameras(), Finder(), Fingers(self.source), []
-        eyes = CameraEyes("camera 0", self.camera, self.finder, View()) if self.source == "hand" else NoEyes()
-        kinematics = Kinematics(MODEL, axes="xy" if self.aim is Tip else "xyz")
+        eyes = (
+            CameraHandSource("camera 0", self.camera, self.finder, View())
+            if self.source == "hand"
+            else NullHandSource()
+        )
+        kinematics = Kinematics(MODEL, axes="xy" if self.aim is TipMapping else "xyz")
         with (
             bench(**{"hold": 0.6, **self.limits}) as (self.bus, rig, limits),
             eyes,

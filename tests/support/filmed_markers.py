@@ -3,13 +3,13 @@
 import numpy as np
 
 from softmap_edge import Run, builtin_model
-from softmap_edge.geometry.rigid import Pose, rotation
+from softmap_edge.geometry.rigid import RigidPose, rotation
 from softmap_edge.run.protocol import standard_protocol
 
 DEGREES = np.r_[np.full(3, np.degrees(1.0)), np.ones(3)]
 
 
-CAMERA = Pose(rotation(np.array([0.4, -2.0, 1.1])), np.array([300.0, -120.0, 900.0]))  # camera → base
+CAMERA = RigidPose(rotation(np.array([0.4, -2.0, 1.1])), np.array([300.0, -120.0, 900.0]))  # camera → base
 
 
 SIDES = np.array(
@@ -54,7 +54,7 @@ def marked(seed=0, noise=0.2, play=0.15, hidden=0.0, wrong=0.0, visits=6, turns=
     record["marker_rest"] = np.concatenate([base, rest])
     if turns is not None:
         small = turns(t[::4])
-        truth = Pose(rotation(small[:, :3]), small[:, 3:])(truth)
+        truth = RigidPose(rotation(small[:, :3]), small[:, 3:])(truth)
     seen = CAMERA.inverse()(truth) + noise * rng.normal(size=truth.shape)
     bad = rng.random(seen.shape[:2]) < wrong
     seen[bad] += rng.uniform(-60, 60, size=(int(bad.sum()), 3))

@@ -16,7 +16,7 @@ from softmap_edge.errors import SoftmapError
 from softmap_edge.fem.build import grid_axes
 from softmap_edge.fem.finger import Finger
 from softmap_edge.fem.simulator import Simulator
-from softmap_edge.model.training_range import beyond
+from softmap_edge.model.training_range import command_extrapolation
 from softmap_edge.sweep.build import model_from_file
 
 PLACE, OFFSET = rings(13, 12)
@@ -148,7 +148,10 @@ def test_loads_that_a_run_declares_are_not_made_up_where_no_stiffness_is_known(b
     plain = Run(t=t, command=u, t_seen=t)
     hung = Run(t=t, command=u, t_seen=t, gravity=LEANING, load=np.full(3, 50.0))
     np.testing.assert_array_equal(model.predict(plain), model.predict(hung))
-    assert beyond(model, plain) == [] and "another gravity and a load" in beyond(model, hung)[0]
+    assert (
+        command_extrapolation(model, plain) == []
+        and "another gravity and a load" in command_extrapolation(model, hung)[0]
+    )
     assert model.with_structure(stiffness_known=True).predict(hung)[0] != pytest.approx(model.predict(hung)[0], abs=0.1)
 
 

@@ -33,7 +33,7 @@ from softmap_edge.cli import main  # noqa: E402
 from softmap_edge.errors import RunError  # noqa: E402
 from softmap_edge.fem.finger import Finger  # noqa: E402
 from softmap_edge.fem.simulator import Simulator  # noqa: E402
-from softmap_edge.geometry.rigid import Pose, rotation  # noqa: E402
+from softmap_edge.geometry.rigid import RigidPose, rotation  # noqa: E402
 from softmap_edge.synthetic.depth_camera import FULL, TWO  # noqa: E402
 
 torch.set_num_threads(1)
@@ -297,7 +297,7 @@ def test_commands_beyond_those_that_taught_a_prior_or_a_residual_are_told(files,
 def test_clouds_whose_base_stands_off_are_judged_in_the_frame_of_their_base(files):
     """So that what is compared is the shape, and the true vertices, which are in that frame, fit."""
     run, true = recorded(24, 5)
-    stood = in_frame(run, Pose(rotation(np.radians([1.2, -0.7, 0.0])), np.array([1.0, -0.8, 0.0])), np.zeros(6))
+    stood = in_frame(run, RigidPose(rotation(np.radians([1.2, -0.7, 0.0])), np.array([1.0, -0.8, 0.0])), np.zeros(6))
     there, moved = (Recording.of(one, MODEL, true) for one in (run, stood))
     assert there.remarks == [] and "softmap align" in moved.remarks[0]
     exact = [judge.judge("x", OFF).errors["surface"].mean() for judge in (there, moved)]

@@ -20,7 +20,7 @@ import numpy as np
 
 from softmap_edge import _core
 from softmap_edge.model.model import Model
-from softmap_edge.model.training_range import untaught
+from softmap_edge.model.training_range import training_extrapolation
 from softmap_training import baselines, choices
 from softmap_training.chamfer import thinned
 from softmap_training.deepsoro import fit_deepsoro
@@ -87,7 +87,7 @@ def decoder(lesson: Lesson, judge: Recording, plan: Plan, bar: Progress) -> Row:
     """Fit a decoder to the clouds of a lesson, and judge it."""
     base, rows = lesson.base, []
     clouds = [thinned(cloud, choices.SAMPLES) for cloud in lesson.clouds]
-    held, asked = lesson.parts[0][1], base.acts(judge.run)  # held out as for a residual
+    held, asked = lesson.parts[0][1], base.effective_commands(judge.run)  # held out as for a residual
     for seed in plan.seeds:
         made = fit_deepsoro(
             lesson.commands, clouds, len(base.rest), seed, held, plan.epochs,
@@ -118,7 +118,7 @@ def residuals(lesson: Lesson, judge: Recording, kind: choices.ResidualKind, plan
             model, report = train_residual(lesson.base, lesson.at(some), kind, recipe, folder)
             told = took(model) | {
                 "what": "with residual", "kind": kind, "seed": seed, "seconds": report["seconds"], "share": share,
-                "frames": len(some), "outside": untaught(model, judge.run),
+                "frames": len(some), "outside": training_extrapolation(model, judge.run),
             }  # fmt: skip
             rows.append(judge.judge(TITLES[kind], model, told))
         if rows:

@@ -28,7 +28,7 @@ from softmap_edge.alignment.base_in_clouds import base_stood_off, in_base
 from softmap_edge.alignment.clouds import clouds_of
 from softmap_edge.alignment.register import register
 from softmap_edge.fem.finger import Finger
-from softmap_edge.fem.simulator import Simulator, Template, tour
+from softmap_edge.fem.simulator import FingerTemplate, Simulator, tour
 from softmap_edge.model.model import Model
 from softmap_edge.run.run import Run
 from softmap_training.errors import TrainingError
@@ -199,7 +199,7 @@ def halfway(model: Model, u: Floats, finger: Finger) -> tuple[Floats, Floats]:
         moved[:, c] = 0.5 * (axis[node] + axis[node + np.where(node > (len(axis) - 1) // 2, -1, 1)])
     order = tour(moved)
     shapes = np.empty((len(u), model.rest.size))
-    simulator = Simulator(finger, Template(model.rest, model.triangles))
+    simulator = Simulator(finger, FingerTemplate(model.rest, model.triangles))
     shapes[order] = simulator.path(moved[order]).reshape(len(u), -1)
     return moved, shapes
 

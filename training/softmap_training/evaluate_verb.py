@@ -16,7 +16,7 @@ from softmap_edge.commands.own import effects_argument, load_own, open_model
 from softmap_edge.commands.progress import Bar
 from softmap_edge.errors import SoftmapError
 from softmap_edge.files.npz import read_npz
-from softmap_edge.model.training_range import beyond, unlike
+from softmap_edge.model.training_range import command_extrapolation, shape_mismatch
 from softmap_edge.robot.drive.recorded import open_run
 from softmap_edge.run.run import Run
 from softmap_edge.version import __version__
@@ -196,7 +196,7 @@ def _on_set(
         t = np.arange(float(len(at)))
         name, base = name + ("" if model.residual is None else WITHOUT), model.with_residual(None)
         asked_for = Run(t=t, command=at, t_seen=t, command_unit=model.command_unit)
-        warnings += [f"{name}: {note}" for note in beyond(base, asked_for)]
+        warnings += [f"{name}: {note}" for note in command_extrapolation(base, asked_for)]
         rows.append(on_shapes(name, model.prior.evaluate, at, shapes, told, model.triangles))
     if not asked:
         return rows
@@ -226,12 +226,12 @@ def _on_run(
     first, model = _first(models, "--run")
     judge = Recording.of(run, model, truth)
     warnings += [f"--run: {note}" for note in judge.remarks]
-    warnings += [f"{first}: {note}" for note in unlike(model, match(model, judge.laid).mae_mm)]
+    warnings += [f"{first}: {note}" for note in shape_mismatch(model, match(model, judge.laid).mae_mm)]
     rows: list[Row] = []
     curve: list[Row] = []
     for k, (name, one) in enumerate(models.items()):
         bar("recording", k / len(models))
-        warnings += [f"{name}: {note}" for note in beyond(one, run)]
+        warnings += [f"{name}: {note}" for note in command_extrapolation(one, run)]
         base, trained = one.with_residual(None), one.made_from.get("prior") or {}
         what = "deepsoro" if is_decoder(one) else "without residual"
         told = took(base) | {"what": what, "base": name}

@@ -126,4 +126,6 @@ def _of_run(base: Model, run: Run) -> Lesson:
         clouds, found = clouds_of(there), register(base, there)
         vertices, weight = found.vertices, weighted(base, found.run(there))[1]
     remarks = [] if stood is None else [base_stood_off(stood.pose)]
-    return Lesson(base, base.acts(there), points, clouds, vertices, weight, there.t_seen, [run.hash()], remarks)
+    return Lesson(
+        base, base.effective_commands(there), points, clouds, vertices, weight, there.t_seen, [run.hash()], remarks
+    )

@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 from softmap_edge.errors import SimulationError, SoftmapError, brief
 from softmap_edge.fem.bodies import Meshed
 from softmap_edge.fem.finger import Finger
-from softmap_edge.fem.simulator import UNITS, Template, tensor_grid
+from softmap_edge.fem.simulator import UNITS, FingerTemplate, tensor_grid
 from softmap_edge.version import __version__
 
 Floats = NDArray[np.float64]
@@ -125,7 +125,7 @@ def attributes_of(finger: Finger, axes: Sequence[Floats], chunk: int) -> dict[st
     }
 
 
-def make(path: Path, attributes: dict[str, Any], template: Template, tendons: int) -> None:
+def make(path: Path, attributes: dict[str, Any], template: FingerTemplate, tendons: int) -> None:
     """Make an empty store at `path`, whole or not at all."""
     command = tensor_grid([np.array(axis) for axis in attributes["axes"]])
     size, chunk = len(command), attributes["chunk"]

@@ -61,7 +61,7 @@ def _of_rig(args: argparse.Namespace) -> Rig | None:
     return rig
 
 
-def _missing(rig: Rig | None, found: list[setup.Found]) -> list[str]:
+def _missing(rig: Rig | None, found: list[setup.ServoState]) -> list[str]:
     """Return a sentence for each servo of the rig that did not answer, with the cause."""
     listed = [] if rig is None else [servo.id for servo in rig.servos]
     left = [id for id in listed if id not in [servo.id for servo in found]]
@@ -70,7 +70,7 @@ def _missing(rig: Rig | None, found: list[setup.Found]) -> list[str]:
 
 def _scan(args: argparse.Namespace) -> int:
     rig = _of_rig(args)
-    found: list[setup.Found] = []
+    found: list[setup.ServoState] = []
     remarks: list[str] = []
     for port in _ports(args):
         for heard in setup.scanned(port, args.baud):
@@ -92,14 +92,14 @@ def _scan(args: argparse.Namespace) -> int:
     return 0 if found and not remarks else OTHERWISE
 
 
-def _told(servo: setup.Found) -> dict[str, Any]:
+def _told(servo: setup.ServoState) -> dict[str, Any]:
     name = servo.model["name"] if servo.model else None
     return dict(
         port=servo.port, baud=servo.baud, id=servo.id, model=name, model_number=servo.number, firmware=servo.firmware
     )
 
 
-def _find(args: argparse.Namespace) -> tuple[list[setup.Found], list[str], set[int]]:
+def _find(args: argparse.Namespace) -> tuple[list[setup.ServoState], list[str], set[int]]:
     """Return the selected servos, remarks on wrong answers, and the ids that answer pings only."""
     heard = [one for port in _ports(args) for one in setup.scanned(port, args.baud)]
     every = [servo for one in heard for servo in one.found]
@@ -145,7 +145,7 @@ def _read(args: argparse.Namespace) -> int:
     return 0 if well else OTHERWISE
 
 
-def _registers(servo: setup.Found, asked: setup.Asked | None) -> tuple[dict[str, int], list[str]]:
+def _registers(servo: setup.ServoState, asked: setup.Asked | None) -> tuple[dict[str, int], list[str]]:
     """Return the register values of a servo, and a line for each that blocks a start or is rewritten by it."""
     try:
         with opened(servo.port, servo.baud) as bus:
@@ -185,7 +185,7 @@ def _setup(args: argparse.Namespace) -> int:
     return 0
 
 
-def _next(args: argparse.Namespace, done: setup.Found) -> str:
+def _next(args: argparse.Namespace, done: setup.ServoState) -> str:
     """Return what comes after set-up: homing, which needs a rig that holds the servo."""
     if args.rig:
         return f"  next, once all are: softmap servo home --rig {shlex.quote(args.rig)}"

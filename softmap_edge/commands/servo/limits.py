@@ -8,7 +8,7 @@ import json
 from softmap_edge.commands.own import effects_argument, load_own, open_model
 from softmap_edge.errors import ServoError
 from softmap_edge.robot.remedies import with_files
-from softmap_edge.robot.servo.limits import combined
+from softmap_edge.robot.servo.limits import effective_limits
 from softmap_edge.robot.servo.loop_limits import RATE
 from softmap_edge.robot.servo.rig import read_rig
 
@@ -29,7 +29,7 @@ def limits(args: argparse.Namespace) -> int:
     """Print the limits; 1 when nothing can be driven with them, and why."""
     load_own(args)
     model = open_model(args.bundle)
-    found = combined(read_rig(args.rig), model, rate=args.rate)
+    found = effective_limits(read_rig(args.rig), model, rate=args.rate)
     refused = None
     try:
         found.table()

@@ -11,7 +11,7 @@ from softmap_edge.commands.own import effects_argument, load_own, open_model
 from softmap_edge.commands.progress import Bar
 from softmap_edge.commands.robot import tell_edited
 from softmap_edge.robot.commissioning.pull import MARGIN, noted, pull
-from softmap_edge.robot.servo.limits import IDLE, combined
+from softmap_edge.robot.servo.limits import IDLE, effective_limits
 from softmap_edge.robot.servo.rig import read_rig
 
 
@@ -31,7 +31,7 @@ def pull_test(args: argparse.Namespace) -> int:
     load_own(args)
     model = open_model(args.bundle)
     tell_edited(model)
-    found = combined(rig, model)
+    found = effective_limits(rig, model)
     with deadman(args.hold) as hand:
         tell(args, "each servo goes slowly to both ends of its window and back", hand)
         with Bar(args.json) as bar:

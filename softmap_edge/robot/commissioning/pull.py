@@ -25,7 +25,7 @@ from softmap_edge.robot.commissioning.jog import EVERY, Deadman, Jog, most_trave
 from softmap_edge.robot.servo import status_words as words
 from softmap_edge.robot.servo.bus import opened
 from softmap_edge.robot.servo.home_mark import check_proved
-from softmap_edge.robot.servo.limits import IDLE, Combined
+from softmap_edge.robot.servo.limits import IDLE, EffectiveLimits
 from softmap_edge.robot.servo.models import servo_model
 from softmap_edge.robot.servo.rig import Rig, RigServo
 
@@ -88,14 +88,14 @@ def _told(leg: Leg) -> str:
     return f"{leg.mA:.0f} mA at {leg.stroke:+.0f} ticks{how}"
 
 
-def strokes(found: Combined) -> list[tuple[float, float]]:
+def strokes(found: EffectiveLimits) -> list[tuple[float, float]]:
     """Return how far each servo may go, (low, high) ticks about home: the window in force."""
     sides = [{limit.name: limit.value for limit in limits} for limits in found.servos]
     return [(float(one["low"]), float(one["high"])) for one in sides]
 
 
 def pull(
-    found: Combined,
+    found: EffectiveLimits,
     hand: Deadman,
     ids: Sequence[int] = (),
     progress: Callable[[str, float], None] = lambda what, share: None,

@@ -13,7 +13,7 @@ from pathlib import Path
 from softmap_edge.errors import ServoError
 from softmap_edge.robot.servo.bus import opened, registers
 from softmap_edge.robot.servo.examined import members
-from softmap_edge.robot.servo.known_state import SET_UP, Asked, Found, differing
+from softmap_edge.robot.servo.known_state import SET_UP, Asked, ServoState, differing
 from softmap_edge.robot.servo.rig import Rig, RigServo
 
 
@@ -32,7 +32,7 @@ class Entry:
         return None if found is None else replace(found, gains=())
 
 
-def entry_of(rig: Rig | None, found: Found, new_id: int | None, new_baud: int | None) -> Entry:
+def entry_of(rig: Rig | None, found: ServoState, new_id: int | None, new_baud: int | None) -> Entry:
     """Return the place in `rig` of a servo that is about to be set up.
 
     Args:
@@ -57,7 +57,7 @@ def entry_of(rig: Rig | None, found: Found, new_id: int | None, new_baud: int | 
     return Entry(rig, id if id in ids else None)
 
 
-def entered(entry: Entry, done: Found, gains: Sequence[int]) -> Rig:
+def entered(entry: Entry, done: ServoState, gains: Sequence[int]) -> Rig:
     """Return the rig with the servo in its place; home and measured current must be found again.
 
     Args:
@@ -79,7 +79,7 @@ def entered(entry: Entry, done: Found, gains: Sequence[int]) -> Rig:
     return replace(old, port=done.port, servos=tuple(servos), made=made)
 
 
-def changes(entry: Entry, found: Found, done: Found, file: str | Path) -> list[str]:
+def changes(entry: Entry, found: ServoState, done: ServoState, file: str | Path) -> list[str]:
     """Return a line for each change in the rig `file`."""
     if entry.rig is None:
         return []
@@ -98,7 +98,7 @@ def changes(entry: Entry, found: Found, done: Found, file: str | Path) -> list[s
     return said
 
 
-def _known(rig: Rig, found: Found) -> bool:
+def _known(rig: Rig, found: ServoState) -> bool:
     """Return whether a servo may be the one that `rig` lists under its id: it is set up, at the rig's rate."""
     listed = dict(rig.numbers)[found.id]
     if found.baud != rig.baud or found.model is None or found.number != listed:

@@ -18,7 +18,7 @@ from softmap_edge.robot.servo.known_state import (
     GAINS,
     OLD,
     Asked,
-    Found,
+    ServoState,
     complaints,
     differing,
     holds,
@@ -31,13 +31,13 @@ from softmap_edge.robot.servo.known_state import (
 from softmap_edge.robot.servo.models import Entry
 from softmap_edge.robot.servo.presence import Heard, listened
 
-__all__ = ["Asked", "Found", "complaints", "gains", "needs", "registers", "scan", "set_up"]
+__all__ = ["Asked", "ServoState", "complaints", "gains", "needs", "registers", "scan", "set_up"]
 
 POSITION = 3  # operating mode
 UNANSWERED = 3  # times that a register is written if no answer can be expected
 
 
-def scan(port: str, baud: int | None = None) -> Iterator[Found]:
+def scan(port: str, baud: int | None = None) -> Iterator[ServoState]:
     """Yield every servo that answers at `port`, at one rate or at all of them.
 
     Raises:
@@ -61,7 +61,7 @@ def scanned(port: str, baud: int | None = None) -> Iterator[Heard]:
                 raise
 
 
-def gains(found: Found) -> list[int]:
+def gains(found: ServoState) -> list[int]:
     """Return the gains that a servo has now, in the order of GAINS."""
     with opened(found.port, found.baud) as bus:
         values = registers(bus, found.id)
@@ -69,12 +69,12 @@ def gains(found: Found) -> list[int]:
 
 
 def set_up(
-    found: Found,
+    found: ServoState,
     new_id: int | None = None,
     new_baud: int | None = None,
     tell: Callable[[str], None] = lambda line: None,
     asked: Asked | None = None,
-) -> Found:
+) -> ServoState:
     """Make one servo ready to be driven, verify it by reading back, and return its new state.
 
     Args:
@@ -112,10 +112,10 @@ def set_up(
             # Its answer may come at the new rate already: what counts is that it is found there.
             with suppress(NoAnswer):
                 _write(bus, id, "baud_rate", model["baud_rates"].index(baud))
-    return _proved(Found(found.port, baud, id, found.number, found.firmware), asked)
+    return _proved(ServoState(found.port, baud, id, found.number, found.firmware), asked)
 
 
-def _proved(now: Found, asked: Asked | None) -> Found:
+def _proved(now: ServoState, asked: Asked | None) -> ServoState:
     """Return the servo if its registers hold the required values; raise ServoError otherwise."""
     with opened(now.port, now.baud) as bus:
         if pinged(bus, now.id) is None:
@@ -127,7 +127,7 @@ def _proved(now: Found, asked: Asked | None) -> Found:
     return now
 
 
-def _check_free(bus: _core.ServoBus, found: Found, id: int) -> None:
+def _check_free(bus: _core.ServoBus, found: ServoState, id: int) -> None:
     """Check that no other servo has the new id or would take it as well.
 
     Raises:
@@ -164,7 +164,7 @@ def _answering(bus: _core.ServoBus, id: int, tell: Callable[[str], None]) -> Non
 
 
 def _made_ready(
-    bus: _core.ServoBus, found: Found, model: Entry, tell: Callable[[str], None], asked: Asked | None
+    bus: _core.ServoBus, found: ServoState, model: Entry, tell: Callable[[str], None], asked: Asked | None
 ) -> None:
     """Write registers that differ, torque off; the servo then resets its gains, as with each new operating mode."""
     before = registers(bus, found.id)

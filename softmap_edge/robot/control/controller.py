@@ -34,7 +34,7 @@ from softmap_edge.errors import GuardStopped, RecordingBroken, ServoError, Softm
 from softmap_edge.model.servo_calibration import Calibration
 from softmap_edge.robot.control import session_mark
 from softmap_edge.robot.control.shutdown import kept_words, numbers, running
-from softmap_edge.robot.control.supervisor import Watched
+from softmap_edge.robot.control.supervisor import Supervisor
 from softmap_edge.robot.motion.kinematics import Kinematics
 from softmap_edge.robot.servo import status_words as words
 from softmap_edge.robot.servo.clock import FROZEN, Clock
@@ -53,7 +53,7 @@ PASSING = ("torque", "trouble(late)")  # what denies a request, and may be over 
 ACTIVE = ("engaged", "hold", "safe_stop", "commissioning")
 
 
-class Controller(Watched):
+class Controller(Supervisor):
     """The servos of `rig` driven within `limits` (`loop_limits`), commands mapped to ticks by `calibration`.
 
     With `kinematics` (`motion.kinematics`) commands are what should act: the loop undoes the effects of its model,

@@ -34,7 +34,7 @@ def _has_more(pipe: int, seconds: float) -> bool:
     return bool(poll.poll(1e3 * seconds))
 
 
-class Watched:
+class Supervisor:
     """What is heard of a loop, and who releases its servos when it can do so no more."""
 
     rig: Rig

@@ -23,7 +23,7 @@ from softmap_edge.robot.servo.emergency import Emergency
 from softmap_edge.robot.servo.examined import Member, examined, members, members_of
 from softmap_edge.robot.servo.home_mark import check_proved
 from softmap_edge.robot.servo.known_state import differs, gains_of
-from softmap_edge.robot.servo.limits import combined
+from softmap_edge.robot.servo.limits import effective_limits
 from softmap_edge.robot.servo.models import servo_model
 from softmap_edge.robot.servo.rig import Rig, RigServo, read_rig
 
@@ -68,7 +68,7 @@ def limits(file: str | Path, folder: str | Path) -> Iterator[Line]:
     if model.calibration is None:
         return
     try:
-        found = combined(bench, model)
+        found = effective_limits(bench, model)
         found.table()
     except SoftmapError as fault:
         yield faulty("limits", fault, "`softmap servo limits` lists who sets them")
@@ -137,7 +137,7 @@ def _asked(bench: Rig, folder: str | Path | None) -> list[Member]:
 
     if folder is not None:
         with contextlib.suppress(SoftmapError, OSError):
-            table = combined(bench, load_bundle(folder)).table()
+            table = effective_limits(bench, load_bundle(folder)).table()
             return members_of(bench.numbers, table, [gains_of(bench.made, servo.id) for servo in bench.servos])
     return members(bench)
 

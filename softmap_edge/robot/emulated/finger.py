@@ -22,7 +22,7 @@ from softmap_edge import _core
 from softmap_edge.errors import ServoError
 from softmap_edge.model.model import Model
 from softmap_edge.model.servo_calibration import Calibration, tendon_mm
-from softmap_edge.robot.commissioning.setup import Found, gains, set_up
+from softmap_edge.robot.commissioning.setup import ServoState, gains, set_up
 from softmap_edge.robot.emulated.laws import LAWS, Law
 from softmap_edge.robot.emulated.named_laws import NAMED, check_hidden
 from softmap_edge.robot.emulated.streamed_laws import streamed
@@ -196,7 +196,9 @@ def emulated_bench(
     try:
         if ready:
             for id, home in zip(ids, homes):
-                kept[f"servo_{id}"] = _ready(Found(bus.path, baud, id, int(known["number"]), _core.FAST_FIRMWARE), home)
+                kept[f"servo_{id}"] = _ready(
+                    ServoState(bus.path, baud, id, int(known["number"]), _core.FAST_FIRMWARE), home
+                )
         clock = {"real": lambda bus: REAL_TIME, "paced": PacedTime, "stepped": SteppedTime}[time](bus)
         mounted = tuple(RigServo(id, servo, home if ready else None) for id, home in zip(ids, homes))
         rig = Rig(bus.path, baud, mounted, made={SET_UP: kept} if kept else {}, time=clock)
@@ -207,7 +209,7 @@ def emulated_bench(
         bus.unplug()
 
 
-def _ready(found: Found, home: int) -> list[int]:
+def _ready(found: ServoState, home: int) -> list[int]:
     """Set an emulated servo up and mark it as homed; requests are repeated if a busy computer made an answer late.
 
     Returns its gains.

@@ -193,7 +193,7 @@ class Kinematics:
         rested = self.home if start is None else np.asarray(start, float)
         self._chain.settle(rested)
         commands, _ = self._chain.path(early(acting, t, *self.delays), t)
-        expected = np.asarray(self.tip.evaluate(self.acts(commands, t, rested)))
+        expected = np.asarray(self.tip.evaluate(self.effective_commands(commands, t, rested)))
         return Plan(t, points, acting, commands, expected, self._apart(expected, points), unreachable)
 
     @property
@@ -220,7 +220,7 @@ class Kinematics:
         delay, lag = (values[[label == group for group in there.group_labels]] for label in wanted)
         return delay, lag
 
-    def acts(self, commands: Floats, t: Floats, rested: Floats) -> Floats:
+    def effective_commands(self, commands: Floats, t: Floats, rested: Floats) -> Floats:
         """Return what acts (T, C) mm where `commands` are sent at `t` after long at `rested` (C,): the model's own
         chain run forwards, whatever of it could be inverted."""
         if not self.model.chain_names:

@@ -11,7 +11,7 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from softmap_edge.robot.servo.known_state import Asked, Found, Values, usual
+from softmap_edge.robot.servo.known_state import Asked, ServoState, Values, usual
 
 JOG_TRAVEL = 300.0  # ticks that one jog may turn
 PER_VOLT = 10  # register units of the supply voltage
@@ -19,7 +19,7 @@ COOL_DOWN = "let it cool with torque off, and find why it got warm: a load, litt
 POWER = "check the power supply and its cable"
 
 
-def unfit(found: Found, values: Values, asked: Asked | None, proved: bool) -> list[str]:
+def unfit(found: ServoState, values: Values, asked: Asked | None, proved: bool) -> list[str]:
     """Return a sentence for each reading for which the guard refuses to start: the finding and, after "; ", the remedy.
 
     Args:

@@ -17,7 +17,7 @@ from softmap_edge.robot.remedies import parted
 from softmap_edge.robot.servo.bus import opened, patiently, pinged, registers
 from softmap_edge.robot.servo.conditions import unfit
 from softmap_edge.robot.servo.home_mark import marked
-from softmap_edge.robot.servo.known_state import Asked, Found, Need, Values, complaints, gains_of, passing, usual
+from softmap_edge.robot.servo.known_state import Asked, Need, ServoState, Values, complaints, gains_of, passing, usual
 from softmap_edge.robot.servo.models import numbered, servo_model
 from softmap_edge.robot.servo.presence import muted, shared, shares, why_silent
 
@@ -35,13 +35,13 @@ class Member:
 
 
 @dataclass(frozen=True)
-class Seen:
+class ExaminedServo:
     """The servo that answers in an expected place (None: none), and its faults, a sentence each: the finding and, after
     "; ", the remedy. `passing` are registers that a start writes again, `unfit` faults of what it senses now: they keep
     a robot from being driven, and not from being homed."""
 
     id: int
-    found: Found | None
+    found: ServoState | None
     wrong: tuple[str, ...]
     passing: tuple[Need, ...] = ()
     values: Values = field(default_factory=dict)
@@ -85,7 +85,7 @@ def _window(home: int, low: float | None, high: float | None) -> tuple[float, fl
     return home + (-math.inf if low is None else low), home + (math.inf if high is None else high)
 
 
-def examined(port: str, baud: int, asked: Sequence[Member], *, release: bool = False) -> list[Seen]:
+def examined(port: str, baud: int, asked: Sequence[Member], *, release: bool = False) -> list[ExaminedServo]:
     """Read identity and registers of the servos expected at `port`.
 
     Args:
@@ -100,12 +100,14 @@ def examined(port: str, baud: int, asked: Sequence[Member], *, release: bool = F
         seen = [_one(bus, member) for member in asked]
     listed = [member.id for member in asked]
     return [
-        one if one.found is not None or one.wrong else Seen(one.id, None, (why_silent(port, baud, one.id, listed),))
+        one
+        if one.found is not None or one.wrong
+        else ExaminedServo(one.id, None, (why_silent(port, baud, one.id, listed),))
         for one in seen
     ]
 
 
-def refusal(seen: Sequence[Seen]) -> str:
+def refusal(seen: Sequence[ExaminedServo]) -> str:
     """Return one line on the faults that block a start and their remedies; "" if there are none."""
     lines = []
     for one in seen:
@@ -136,11 +138,11 @@ def started(port: str, baud: int, asked: Sequence[Member]) -> list[str]:
         return [_written(bus, one, need) for one in seen for need in one.passing]
 
 
-def _one(bus: _core.ServoBus, member: Member) -> Seen:
+def _one(bus: _core.ServoBus, member: Member) -> ExaminedServo:
     before = bus.counts()["unasked"]
     if (answer := pinged(bus, member.id)) is None:
-        return Seen(member.id, None, ())
-    found = Found(bus.port, bus.baud, member.id, *answer)
+        return ExaminedServo(member.id, None, ())
+    found = ServoState(bus.port, bus.baud, member.id, *answer)
     if found.number != member.number:
         name = found.model["name"] if found.model else "an unknown model"
         listed = numbered(member.number)
@@ -148,20 +150,20 @@ def _one(bus: _core.ServoBus, member: Member) -> Seen:
             f"it is {name} ({found.number}), the rig lists {listed['name'] if listed else 'another model'} "
             f"({member.number}); correct the rig, or connect the servo that it lists"
         )
-        return Seen(member.id, found, (wrong_model,))
+        return ExaminedServo(member.id, found, (wrong_model,))
     try:
         values = registers(bus, member.id)
     except NoAnswer as fault:
-        return Seen(member.id, found, (fault.why or muted(bus, member.id),))
+        return ExaminedServo(member.id, found, (fault.why or muted(bus, member.id),))
     wrong = complaints(found, values, member.asked)
     if bus.counts()["unasked"] > before and shared(bus, member.id):
         wrong.insert(0, shares(bus, member.id))
     proved = member.asked.window is not None and marked(bus, member.id, member.asked.home)
     sensed = tuple(unfit(found, values, member.asked, proved))
-    return Seen(member.id, found, tuple(wrong), tuple(passing(found, values, member.asked)), values, sensed)
+    return ExaminedServo(member.id, found, tuple(wrong), tuple(passing(found, values, member.asked)), values, sensed)
 
 
-def _written(bus: _core.ServoBus, one: Seen, need: Need) -> str:
+def _written(bus: _core.ServoBus, one: ExaminedServo, need: Need) -> str:
     """Write a volatile register, and return the line that reports it."""
     address, size, _ = _core.servo_registers()[need.register]
     patiently(bus.write, one.id, address, need.value.to_bytes(size, "little", signed=need.value < 0))

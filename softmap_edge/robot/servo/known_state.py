@@ -35,7 +35,7 @@ Values = dict[str, int]
 
 
 @dataclass(frozen=True)
-class Found:
+class ServoState:
     """A servo that answered: its port, baud rate, id and model."""
 
     port: str
@@ -139,7 +139,7 @@ def differing(model: Entry, values: Values, asked: Asked | None = None) -> list[
     return [need for need in needs(model, asked) if not need.met(values[need.register])]
 
 
-def complaints(found: Found, values: Values, asked: Asked | None = None) -> list[str]:
+def complaints(found: ServoState, values: Values, asked: Asked | None = None) -> list[str]:
     """Return a sentence for each fault that blocks a start: the finding and, after "; ", the remedy."""
     model = found.model
     if model is None:
@@ -160,13 +160,13 @@ def complaints(found: Found, values: Values, asked: Asked | None = None) -> list
     return lines
 
 
-def passing(found: Found, values: Values, asked: Asked | None = None) -> list[Need]:
+def passing(found: ServoState, values: Values, asked: Asked | None = None) -> list[Need]:
     """Return the needs that are not met and that a start writes by itself."""
     model = found.model
     return [] if model is None else [need for need in differing(model, values, asked) if need.passing]
 
 
-def differs(found: Found, need: Need, value: int, asked: Asked | None = None) -> str:
+def differs(found: ServoState, need: Need, value: int, asked: Asked | None = None) -> str:
     """Return the actual and the required value of a register as text: `drive mode is 9, needed is 0`."""
     model = found.model
     if need.register == "current_limit" and model is not None:
@@ -177,7 +177,7 @@ def differs(found: Found, need: Need, value: int, asked: Asked | None = None) ->
     return f"{holds(found, need.register, value)}, needed is {least}{need.value if not least else need.least}"
 
 
-def holds(found: Found, register: str, value: int) -> str:
+def holds(found: ServoState, register: str, value: int) -> str:
     """Return the value of a register as text, with the danger if there is one."""
     note = f" ({MODES.get(value, 'unknown')})" if register == "operating_mode" else ""
     if register == "homing_offset" and found.firmware < CLEAR:
@@ -185,7 +185,7 @@ def holds(found: Found, register: str, value: int) -> str:
     return f"{register.replace('_', ' ')} is {value}{note}"
 
 
-def too_old(found: Found) -> str:
+def too_old(found: ServoState) -> str:
     """Return the message on firmware without a watchdog."""
     update = f"update it to {_core.FAST_FIRMWARE} with Dynamixel Wizard"
     return f"its firmware {found.firmware} has no bus watchdog; {update}"
@@ -198,7 +198,7 @@ def hardware(bits: int) -> str:
     return ", ".join([*known, *([f"error {left:#04x}"] if left else [])])
 
 
-def restart(found: Found) -> str:
+def restart(found: ServoState) -> str:
     """Return the remedy for a hardware error."""
     return (
         f"find the cause, then run `softmap servo reboot --port {shlex.quote(found.port)} --baud {found.baud} "

@@ -63,7 +63,7 @@ class Limit:
 
 
 @dataclass(frozen=True)
-class Combined:
+class EffectiveLimits:
     """The limits in force on a bench: of each servo (`low` and `high` in ticks about home) and of the robot.
 
     calibration: that of the bundle on this bench, its home moved by whole turns and its window that of the limits ·
@@ -148,7 +148,9 @@ class Combined:
         return "\n".join(lines)
 
 
-def combined(rig: Rig, model: Model, calibration: Calibration | None = None, rate: float = RATE) -> Combined:
+def effective_limits(
+    rig: Rig, model: Model, calibration: Calibration | None = None, rate: float = RATE
+) -> EffectiveLimits:
     """Return the limits in force on the bench `rig` for the finger of `model`.
 
     Args:
@@ -175,7 +177,7 @@ def combined(rig: Rig, model: Model, calibration: Calibration | None = None, rat
         fit(float(_of(one, name).value) - by for one, by in zip(servos, off))
         for name, fit in (("low", max), ("high", min))
     )
-    return Combined(
+    return EffectiveLimits(
         rig,
         replace(here, window=(window[0], window[1])),
         safety,

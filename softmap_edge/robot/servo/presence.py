@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from softmap_edge import _core
 from softmap_edge.errors import NoAnswer, NoSuchRate
 from softmap_edge.robot.servo.bus import opened, patiently, pinged, pings_only, rates
-from softmap_edge.robot.servo.known_state import Found, setup_command
+from softmap_edge.robot.servo.known_state import ServoState, setup_command
 
 LOOKS = 3  # repetitions of the finding: one glitch is no second servo
 PINGS = 2  # at each other rate
@@ -25,7 +25,7 @@ ALONE = "connect one servo at a time and give each an id of its own"
 class Heard:
     """The servos that answer at a port at one rate, a sentence for each fault, and the ids that answer pings only."""
 
-    found: tuple[Found, ...]
+    found: tuple[ServoState, ...]
     remarks: tuple[str, ...]
     mute: tuple[int, ...] = ()
 
@@ -128,7 +128,7 @@ def _unread(bus: _core.ServoBus) -> int:
     return counts["damaged"] + counts["skipped"]
 
 
-def _scanned(bus: _core.ServoBus) -> tuple[list[Found], bool]:
+def _scanned(bus: _core.ServoBus) -> tuple[list[ServoState], bool]:
     """Return the servos that answer, and whether unreadable bytes came each time."""
     before, most = _unread(bus), bus.scan()
     unreadable = _unread(bus) > before
@@ -138,7 +138,7 @@ def _scanned(bus: _core.ServoBus) -> tuple[list[Found], bool]:
         before, again = _unread(bus), bus.scan()
         unreadable = _unread(bus) > before
         most = max(most, again, key=len)
-    return [Found(bus.port, bus.baud, *one) for one in most], unreadable
+    return [ServoState(bus.port, bus.baud, *one) for one in most], unreadable
 
 
 def _unreadable(bus: _core.ServoBus) -> str:

@@ -25,9 +25,9 @@ from softmap_edge.robot.teleop.busy import Busy
 from softmap_edge.robot.teleop.clutch import Clutch
 from softmap_edge.robot.teleop.gesture import Deadman, Rule
 from softmap_edge.robot.teleop.hand import Hand, HandMap
-from softmap_edge.robot.teleop.hand_source import SEEN, Eyes, Sight
+from softmap_edge.robot.teleop.hand_source import SEEN, HandObservation, HandSource
 from softmap_edge.robot.teleop.keys import Controls, Input
-from softmap_edge.robot.teleop.mapping import Aim
+from softmap_edge.robot.teleop.mapping import HandMapping
 from softmap_edge.robot.teleop.one_euro import OneEuro, OneEuroState
 from softmap_edge.robot.teleop.own_hand import ANOTHER, OwnHand
 
@@ -41,7 +41,7 @@ MOST_KEPT = 200_000  # latencies: an hour and a half at 30 pictures a second
 
 
 @dataclass
-class Account:
+class DriveSummary:
     """What a session was: pictures taken, with a hand and driven from; seconds in each state; why driving ended."""
 
     states: dict[str, float] = field(default_factory=dict)  # s
@@ -74,7 +74,7 @@ def _round(number: Any) -> float:
 
 
 @dataclass(frozen=True, eq=False)
-class Moment:
+class DriveState:
     """What is shown: the guard's report, the clutch, what drives, the newest sight, (c_f, c_r) as filtered, the knob,
     where the finger is and is led to in the plane (mm), and how old (s) what is driven from is."""
 
@@ -82,7 +82,7 @@ class Moment:
     report: dict[str, Any]
     clutch: Clutch
     controls: Controls
-    sight: Sight | None
+    sight: HandObservation | None
     seen: Floats | None
     here: Floats
     led: Floats | None
@@ -106,8 +106,8 @@ class Drive:
         self,
         robot: Controller,
         kinematics: Kinematics,
-        aim: Aim,
-        eyes: Eyes,
+        aim: HandMapping,
+        eyes: HandSource,
         inputs: Sequence[Input],
         *,
         reach: tuple[float, float] = HandMap.reach,
@@ -115,7 +115,7 @@ class Drive:
         rule: Rule = "fist releases",
         stays: bool = False,
         sent: Callable[[float, Floats], None] | None = None,
-        show: Callable[[Moment], None] | None = None,
+        show: Callable[[DriveState], None] | None = None,
         say: Callable[[str], None] | None = None,
     ) -> None:
         self._robot, self._aim, self._eyes, self._inputs = robot, aim, eyes, list(inputs)
@@ -132,9 +132,9 @@ class Drive:
         self._source, self._led, self._driven = "", np.zeros(2), -np.inf
         self._line = ""
         self._busy = Busy(robot.time, self._note)
-        self.account = Account()
+        self.account = DriveSummary()
 
-    def run(self, seconds: float | None = None) -> Account:
+    def run(self, seconds: float | None = None) -> DriveSummary:
         """Drive for some seconds, or until the file, the loop or an input ends it; the finger is let go of then."""
         begun = before = time.monotonic()
         try:
@@ -192,9 +192,9 @@ class Drive:
             age = None if sight is None else now - sight.t
             led = self._led if self._clutch.stage == "driving" else None
             busy = self._busy.line(now)
-            self._show(Moment(now, report, self._clutch, controls, sight, seen, here, led, age, lacking, busy))
+            self._show(DriveState(now, report, self._clutch, controls, sight, seen, here, led, age, lacking, busy))
 
-    def _take(self) -> Sight | None:
+    def _take(self) -> HandObservation | None:
         """Take the newest sight, once, into the filter."""
         sight = self._eyes.newest()
         if sight is None or sight.number == self._last_sight:

@@ -31,7 +31,7 @@ FRESH = 0.5  # s for which an old message is still news: beyond, the sender was 
 
 
 @dataclass(frozen=True, eq=False)
-class Sight:
+class HandObservation:
     """The surest hand that may drive in a picture, if any, when it was taken (s, steady clock), its number from 0, the
     picture (None where landmarks came alone), and all hands in it that may drive."""
 
@@ -64,7 +64,7 @@ class Finder(Protocol):
         ...
 
 
-class Eyes(ABC):
+class HandSource(ABC):
     """The slot that a thread of its own fills; a context manager. `gone` says in a line why nothing comes any more,
     `over` that a file came to its end. `.taken` and `.hands` count pictures and those with the driving hand."""
 
@@ -72,7 +72,7 @@ class Eyes(ABC):
         self.name, self.view = name, view
         self.gone, self.over = "", False
         self.taken = self.hands = 0
-        self._sight: Sight | None = None
+        self._sight: HandObservation | None = None
         self._news = threading.Condition()
         self._done = threading.Event()
         self._thread = threading.Thread(target=self._run, name=f"eyes of {name}", daemon=True)
@@ -86,7 +86,7 @@ class Eyes(ABC):
         self._close()
         self._thread.join(5.0)
 
-    def newest(self) -> Sight | None:
+    def newest(self) -> HandObservation | None:
         """Return the newest sight; None before the first."""
         return self._sight
 
@@ -95,7 +95,7 @@ class Eyes(ABC):
         with self._news:
             self._news.wait_for(lambda: self._sight is not None and self._sight.number != number, seconds)
 
-    def _see(self, sight: Sight) -> None:
+    def _see(self, sight: HandObservation) -> None:
         self.taken += 1
         self.hands += sight.hand is not None
         with self._news:
@@ -119,7 +119,7 @@ class Eyes(ABC):
         """End what the thread may wait for."""
 
 
-class NoEyes(Eyes):
+class NullHandSource(HandSource):
     """Nothing is seen: keys and knob drive."""
 
     def __init__(self) -> None:
@@ -129,7 +129,7 @@ class NoEyes(Eyes):
         self._done.wait()
 
 
-class CameraEyes(Eyes):
+class CameraHandSource(HandSource):
     """Hands in pictures."""
 
     def __init__(self, name: str, pictures: Pictures, finder: Finder, view: View) -> None:
@@ -142,7 +142,7 @@ class CameraEyes(Eyes):
                 if self._done.is_set():
                     return
                 hands = self.view.allowed(self._finder.see(frame.picture, frame.t))
-                self._see(Sight(frame.t, frame.number, surest(hands), frame.picture, tuple(hands)))
+                self._see(HandObservation(frame.t, frame.number, surest(hands), frame.picture, tuple(hands)))
         except TeleopError:
             if not self._done.is_set():
                 raise
@@ -155,7 +155,7 @@ class CameraEyes(Eyes):
             self._pictures.close()
 
 
-class FarEyes(Eyes):
+class RemoteHandSource(HandSource):
     """Landmarks and key of another computer (`landmarks_udp`); an input as well (`keys.Input`)."""
 
     def __init__(self, receiver: Receiver, view: View) -> None:
@@ -172,7 +172,7 @@ class FarEyes(Eyes):
             now = time.monotonic()
             self._key.say(last.held, now - got.age)
             hands = self.view.allowed([] if last.hand is None else [last.hand])
-            self._see(Sight(now - got.age, got.sequence, surest(hands), None, tuple(hands)))
+            self._see(HandObservation(now - got.age, got.sequence, surest(hands), None, tuple(hands)))
         self._receiver.close()
 
     def controls(self, now: float) -> Controls:
@@ -192,7 +192,7 @@ class FarEyes(Eyes):
         return dict(self._receiver.refused)
 
 
-def camera_eyes(what: int | Path, model: str | Path | None, view: View) -> CameraEyes:
+def camera_hand_source(what: int | Path, model: str | Path | None, view: View) -> CameraHandSource:
     """Open a camera by its number, or a video file played at its own rate, with mediapipe's hands.
 
     Raises:
@@ -204,4 +204,4 @@ def camera_eyes(what: int | Path, model: str | Path | None, view: View) -> Camer
     except BaseException:
         finder.close()
         raise
-    return CameraEyes(f"camera {what}" if isinstance(what, int) else str(what), pictures, finder, view)
+    return CameraHandSource(f"camera {what}" if isinstance(what, int) else str(what), pictures, finder, view)

@@ -1,7 +1,8 @@
 """Where a hand or knob leads: a point of a plane, which is the two commands themselves or the tip's place aside.
 
-The paper's direct map takes the commands (u_lat, u_vert) for that plane; `Tip` takes the tip's (x, y) from where it is
-at u = 0 and finds the commands by inverse kinematics, for any number of tendons. Pinned by tests/robot/test_aim.py.
+The paper's direct map takes the commands (u_lat, u_vert) for that plane; `TipMapping` takes the tip's (x, y) from
+where it is at u = 0 and finds the commands by inverse kinematics, for any number of tendons. Pinned by
+tests/robot/test_aim.py.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ Floats = NDArray[np.float64]
 MOST_GRID = 5  # tendons up to which the tip's range is looked for in all corners of the commands
 
 
-class Aim(Protocol):
+class HandMapping(Protocol):
     """A plane that is led: `box` (2, 2) its range, LOW < 0 < HIGH, in mm; `names` of its axes."""
 
     box: Floats
@@ -35,7 +36,7 @@ class Aim(Protocol):
         ...
 
 
-class Direct:
+class DirectMapping:
     """The two commands of a model, as in the paper.
 
     Raises:
@@ -58,7 +59,7 @@ class Direct:
         return np.asarray(acting, float)
 
 
-class Tip:
+class TipMapping:
     """The tip's x and y from where it is at u = 0; out of reach the nearest point of it is led to."""
 
     names = ("x", "y")

@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 
 from softmap_edge.model.model import Model
 from softmap_edge.robot.servo import status_words as words
-from softmap_edge.robot.teleop.drive import Moment
-from softmap_edge.robot.teleop.hand_source import Eyes
-from softmap_edge.robot.teleop.mapping import Aim
-from softmap_edge.robot.teleop.sketch import Sketch
+from softmap_edge.robot.teleop.drive import DriveState
+from softmap_edge.robot.teleop.hand_source import HandSource
+from softmap_edge.robot.teleop.mapping import HandMapping
+from softmap_edge.robot.teleop.sketch import ShapePreview
 
 Floats = NDArray[np.float64]
 
@@ -23,16 +23,18 @@ SEEN = 0.02  # mm: less is not drawn anew
 AVERAGED = 60  # ages of sights over whose median the latency is told
 
 
-class Shown:
+class PageState:
     """Turns the newest moment into what a page is sent; asked by the threads of pages.
 
     Args:
         model: that is drawn. aim, eyes: as they drive. sketch: the finger. about: what else a page is told once.
     """
 
-    def __init__(self, model: Model, aim: Aim, eyes: Eyes, sketch: Sketch, about: dict[str, Any]) -> None:
+    def __init__(
+        self, model: Model, aim: HandMapping, eyes: HandSource, sketch: ShapePreview, about: dict[str, Any]
+    ) -> None:
         self._aim, self._eyes, self._sketch = aim, eyes, sketch
-        self._moment: Moment | None = None
+        self._moment: DriveState | None = None
         self._ages: deque[float] = deque(maxlen=AVERAGED)
         self._number, self._points = -1.0, np.asarray(model.rest, float)
         self._last, self._lock = -1.0, threading.Lock()
@@ -52,7 +54,7 @@ class Shown:
             **about,
         }
 
-    def take(self, moment: Moment) -> None:
+    def take(self, moment: DriveState) -> None:
         """Take the newest moment."""
         self._moment = moment
         if moment.sight is not None and moment.sight.t != self._last:
@@ -109,7 +111,7 @@ class Shown:
                          for end in (low, high) for c in range(len(low))])  # fmt: skip
 
 
-def _at_ends(led: Floats, aim: Aim) -> list[str]:
+def _at_ends(led: Floats, aim: HandMapping) -> list[str]:
     found = []
     for name, at, (low, high) in zip(aim.names, led, aim.box):
         room = 0.005 * (high - low)

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from softmap_edge.robot.teleop.hand_source import SEEN, Eyes
+from softmap_edge.robot.teleop.hand_source import SEEN, HandSource
 from softmap_edge.robot.teleop.keys import Input
 from softmap_edge.robot.teleop.landmarks import Message, Sender
 
@@ -31,7 +31,9 @@ class Sent:
         return asdict(self)
 
 
-def send(eyes: Eyes, sender: Sender, key: Input | None, seconds: float | None, say: Callable[[str], None]) -> Sent:
+def send(
+    eyes: HandSource, sender: Sender, key: Input | None, seconds: float | None, say: Callable[[str], None]
+) -> Sent:
     """Send what entered `eyes` see until they, some seconds or the `key` end it; without a key none is held here."""
     done, number, begun, line = Sent(), -1, time.monotonic(), ""
     try:

@@ -16,7 +16,7 @@ Floats = NDArray[np.float64]
 LONGEST = 0.5  # s between two looks: after more the effects begin again, at rest
 
 
-class Sketch:
+class ShapePreview:
     """The points of a model's finger, through its effects, as servos turn.
 
     Args:
