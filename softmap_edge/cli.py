@@ -128,7 +128,7 @@ def _plugged_in() -> list[Verb]:
 
 
 def _overview(verbs: list[Verb]) -> str:
-    lines = ["usage: softmap VERB [options]   (softmap help VERB)", ""]
+    lines = ["usage: softmap COMMAND [options]   (softmap help VERB)", ""]
     for group in dict.fromkeys(verb.group for verb in verbs):
         lines.append(f"{group}:")
         lines += [f"  {verb.name:<10} {verb.help}" for verb in verbs if verb.group == group]

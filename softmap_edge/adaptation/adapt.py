@@ -100,7 +100,7 @@ class Adaptation:
         lines.append(_of_residual(self.residual, self.model.residual is not None))
         alone = self.error[WAYS[2 * self.added]]
         if self.model.residual is not None and alone is not None and self.last > alone:
-            lines.append("  it does not help on the run that judges")
+            lines.append("  it does not help on the validation run")
         lines += ["", f"error, mm RMS, {self.error_on}"]
         lines += [f"  {way:<24} {value:.3f}" for way, value in self.error.items() if value is not None]
         share = f"{100 * abs(self.fall):.0f} %"
@@ -129,7 +129,7 @@ def adapt(
         model: an earlier residual is learned anew; effects that it has stay.
         run: one recording or several of the robot, of vertices, clouds or the model's markers. Ticks are calibrated
             with the first run that holds enough commands for it, unless the model knows them already.
-        held_out: a recording that teaches nothing and judges all ways; without it blocks of the runs are held out.
+        held_out: a recording for validation only, not for learning ways; without it blocks of the runs are held out.
         physics: look for missing effects; without, the residual stands in for them.
         told: hears what goes on, a line each.
 

@@ -119,7 +119,7 @@ def base_stood_off(pose: RigidPose) -> str:
     turn, shift = np.degrees(rotation_vector(pose.rotation)), pose.shift
     turned, shifted = (", ".join(f"{v + 0.0:.2f}" for v in numbers) for numbers in (turn, shift))
     return (
-        f"the base stands off the frame of the clouds: these were turned by ({turned}) deg and shifted by ({shifted}) "
+        f"the base is not at the origin of the clouds: these were turned by ({turned}) deg and shifted by ({shifted}) "
         "mm first; do so with every run: softmap align RUN --base clamped --bundle CALIBRATED --out RUN2"
     )
 

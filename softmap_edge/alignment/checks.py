@@ -40,7 +40,7 @@ def check_places(places: Floats) -> None:
         raise AlignError(f"{len(places)} base points; a frame needs three that are not on one line")
     if not np.isfinite(places).all():
         raise AlignError("a place of a base point is not a finite number; give three numbers in mm for each")
-    _check_line(places, "the base points", "name one more beside that line")
+    _check_line(places, "the base points", "name one more next to that line")
 
 
 def _check_line(points: Floats, what: str, remedy: str) -> None:
@@ -59,7 +59,7 @@ def _check_line(points: Floats, what: str, remedy: str) -> None:
 
 def check_turns(points: Floats, sigma: Floats, answer: Floats) -> None:
     """Raise AlignError when the points (N, 3) mm, or the sigma (3,) rad of the turns, leave one turn unknown."""
-    remedy = "name three base markers that are not on one line (--base), or see more points beside the axis"
+    remedy = "name three base markers that are not on one line (--base), or see more points away from the axis"
     _check_line(points, "the points", remedy)
     if not np.isfinite(answer).all() or sigma.max() > WORST_TURN:
         worst = int(np.argmax(sigma))

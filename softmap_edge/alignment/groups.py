@@ -68,7 +68,10 @@ class Moved:
             f"{self.turn_deg:.2f} deg and {self.shift_mm:.2f} mm, {self.farthest_mm:.2f} mm at the far end"
         )
         if self.what == "home":
-            return text + ". The base moved, or the robot did not come home (creep, play); base markers would tell"
+            return (
+                text
+                + ". The base moved, or the robot did not come home (creep, play); base markers would distinguish them"
+            )
         return text + ". Base markers take it out frame by frame (--follow-base); or fix the base and record again"
 
 

@@ -118,8 +118,8 @@ def turned_shapes(sights: Sights, start: Floats, blocks: list[Mask]) -> list[Dep
     size, sigma = np.degrees(found.turn), np.degrees(found.turn_sigma)
     sentence = (
         f"turned: all shapes stand {size:+.2f} ± {sigma:.2g} deg about the axis of the base from where the map puts "
-        f"them (held-out error {before:.2g} → {after:.2g} mm RMS of shape): tendons routed elsewhere about the axis, "
-        "or the roll of the frame. No map of ticks turns shapes: A and b are those without the turn, and `softmap "
+        f"them (held-out error {before:.2g} → {after:.2g} mm RMS of shape): tendons at other angles about the "
+        "axis, or the roll of the frame. No map of ticks turns shapes: A and b are without the turn, and `softmap "
         "diagnose` with the new bundle names it"
     )
     away = sights.design[np.flatnonzero(sights.row == good[np.argmax(gain)])[0], :-1]

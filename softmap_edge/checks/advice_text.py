@@ -25,7 +25,7 @@ def advice_lines(words: list[Advice]) -> list[str]:
 
 def effect_lines(effects: list[dict[str, Any]]) -> list[str]:
     """Return for a terminal what `diagnosis.showing` found of each effect."""
-    lines = ["", "Effects at mid-range: how far each would move the body, and how often that is the noise"]
+    lines = ["", "Effects at typical strength: how far each would move the body, and how often that is the noise"]
     wide = max((len(row["name"]) for row in effects), default=0)
     for row in effects:
         if row["shows"]:

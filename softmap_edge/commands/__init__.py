@@ -16,7 +16,7 @@ class Verb:
 
 
 VERBS: list[Verb] = [
-    Verb("demo", "see it all", "the whole story, on a simulated finger", "softmap_edge.commands.demo"),
+    Verb("demo", "see it all", "the complete workflow on a simulated finger", "softmap_edge.commands.demo"),
     Verb("build", "make a model", "finger.toml → bundle", "softmap_edge.commands.make"),
     Verb("learn", "make a model", "reference run → rod bundle", "softmap_edge.commands.make"),
     Verb("adapt", "make a model", "calibrate, add physics, learn the rest", "softmap_edge.commands.adapt"),

@@ -24,7 +24,7 @@ def adapt_arguments(parser: argparse.ArgumentParser) -> None:
         help="a run (.npz or .mcap) of points or clouds; several teach together",
     )
     parser.add_argument("--bundle", metavar="DIR", help="the model; the built-in finger without it")
-    parser.add_argument("--held-out", metavar="RUN", help="a recording that teaches nothing and judges all")
+    parser.add_argument("--held-out", metavar="RUN", help="a recording for validation only, not for learning")
     parser.add_argument(
         "--residual-only", action="store_true", help="look for no physics: the residual stands in for it"
     )

@@ -79,7 +79,7 @@ def _of_clouds(args: argparse.Namespace, run: Run) -> Alignment:
     """Find the frame of clouds by the body near the clamp."""
     if args.base != ["clamped"] or args.follow_base or args.drop_base:
         raise AlignError(
-            f"{args.run}: holds clouds, whose base is told by the body near the clamp: give --base clamped"
+            f"{args.run}: holds clouds, whose base is found from the body near the clamp: give --base clamped"
         )
     return align_clouds(run, _bundle(args))
 

@@ -138,7 +138,7 @@ def _told(args: argparse.Namespace, say: Callable[[str], None], started: float) 
     Path(args.out).mkdir(parents=True, exist_ok=True)  # before the work, not after it
     say("Taking the model of the built-in finger, made from a simulated sweep.")
     model = builtin_model()
-    say("Making a second finger: another mesh, another batch of silicone, and a secret …")
+    say("Making a second finger: another mesh, another batch of silicone, and a hidden effect …")
     story = trial(model, hide(names, args.seed), say)
     say(_table(story))
     files = _write(story, Path(args.out))

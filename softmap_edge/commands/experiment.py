@@ -195,7 +195,7 @@ def record_arguments(parser: argparse.ArgumentParser) -> None:
         "friction, a lean; the run holds servo ticks and noisy clouds of two views, no command in mm and no vertices",
     )  # fmt: skip
     parser.add_argument(
-        "--truth", metavar="FILE", help="with --virtual: write its true vertices and commands beside the run, .npz"
+        "--truth", metavar="FILE", help="with --virtual: write its true vertices and commands next to the run, .npz"
     )
     parser.add_argument(
         "--bundle", metavar="DIR", help="the model that the commands are for; the built-in finger without it"
@@ -206,8 +206,10 @@ def record_arguments(parser: argparse.ArgumentParser) -> None:
     hidden.add_argument(
         "--hide", "--hidden", nargs="+", default=[], metavar="NAME", help="effects that the simulated finger has"
     )
-    hidden.add_argument("--truth-from", metavar="FILE", help="the same secrets as in a demo (its --json document)")
-    parser.add_argument("--seed", type=int, help="draws the finger and the strengths of its secrets (1)")
+    hidden.add_argument(
+        "--truth-from", metavar="FILE", help="the same hidden effects as in a demo (its --json document)"
+    )
+    parser.add_argument("--seed", type=int, help="draws the finger and the strengths of its hidden effects (1)")
     parser.add_argument("--noise-seed", type=int, default=0, help="draws the noise of the camera (0)")
     parser.add_argument("--out", required=True, metavar="RUN", help="the run to write, .npz")
 

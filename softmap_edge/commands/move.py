@@ -221,7 +221,7 @@ def _stood(rig: Rig, begin: Any, end: Any, target: Any) -> str:
     forget(rig.port, rig.baud, ids)
     return (
         f"servo {', '.join(map(str, ids))} did not turn at all: it is blocked, or its encoder stands, so that its home "
-        "is no longer proved; free it, then home the robot again (`softmap servo home --rig FILE`)"
+        "is lost; free it, then home the robot again (`softmap servo home --rig FILE`)"
     )
 
 

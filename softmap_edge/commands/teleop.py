@@ -63,7 +63,9 @@ def teleop_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--flip", default="", metavar="x,y", help="turn the hand's sideways (x) or forward (y) round")
     reach = "hand scales for the end of the range ({:g},{:g})".format(*HandMap.reach)
     parser.add_argument("--reach", default=HandMap.reach, type=_two, metavar="SIDE,FORWARD", help=reach)
-    parser.add_argument("--gesture", default="fist-releases", choices=RULES, help="beside the key (fist-releases)")
+    parser.add_argument(
+        "--gesture", default="fist-releases", choices=RULES, help="in addition to the key (fist-releases)"
+    )
     parser.add_argument("--seconds", type=float, metavar="S", help="end after this long")
     driven_arguments(parser)
     parser.add_argument("--force", action="store_true", help="--fetch-model: replace the file that is there")

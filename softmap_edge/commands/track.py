@@ -48,7 +48,7 @@ def track_arguments(parser: argparse.ArgumentParser) -> None:
     where.add_argument("--plan", action="store_true", help="plan only, nothing moves")
     where.add_argument("--table", action="store_true", help="the paper's Table II: letters on simulator and stand-in")
     where.add_argument("--workspace", action="store_true", help="what the tip can reach")
-    parser.add_argument("--rival", metavar="DIR", help="--table: another bundle to stand beside (train prior)")
+    parser.add_argument("--rival", metavar="DIR", help="--table: another bundle to compare with (train prior)")
     parser.add_argument(
         "--reach", nargs=3, type=float, metavar=("X", "Y", "Z"), help="--workspace: is this point (mm) in it"
     )
@@ -202,8 +202,8 @@ def _text(told: dict[str, Any]) -> str:
 
     lines = [
         f"{told['figure']}: {told['waypoints']} waypoints in {told['seconds']:.1f} s, {told['quickest_s']:.1f} s at "
-        f"least; effects undone: {', '.join(told['effects']) or 'none'}"
-        + (f"; not undone: {', '.join(told['left'])}" if told["left"] else "")
+        f"least; effects compensated: {', '.join(told['effects']) or 'none'}"
+        + (f"; not compensated: {', '.join(told['left'])}" if told["left"] else "")
     ]
     if told["quickest_s"] > told["asked_s"]:
         lines.append(f"{told['asked_s']:g} s were asked for: slew and acceleration of the servos take longer")

@@ -109,7 +109,9 @@ class FingerFit:
             lines.append(f"  {one} and {other} are seen only together (correlation {correlation:+.2f})")
         lines.append("  density is as given: of modulus and density this run shows the ratio")
         if not self.mount:
-            lines.append(f"  the camera's frame is taken as it is: {self.dwells} dwells do not tell it from the finger")
+            lines.append(
+                f"  the camera's frame is taken as it is: {self.dwells} dwells do not distinguish it from the finger"
+            )
         if self.finger_fitted_mm is None:
             return "\n".join([*lines, "no dwell was left to judge by: predict another run with the fitted finger"])
         lines.append(

@@ -97,7 +97,7 @@ class Sweep:
         arrays |= {name: getattr(self, name) for name in (*_NUMBERS, "triangles")}
         units = UNITS | {"command": self.finger.command_unit}
         texts = {"schema": SCHEMA, "finger": self.finger.to_toml(), "units": json.dumps(units, sort_keys=True)}
-        # The simulator applies no effects of the library; a sweep made elsewhere names its own.
+        # The simulator applies no effects of the library; an imported sweep names its own.
         texts |= {"effects": "[]", "written_by": f"softmap-edge {__version__}"}
         write_npz(Path(path), arrays | {name: np.array(text) for name, text in texts.items()})
 

@@ -129,7 +129,8 @@ def _leaps(where: str, cells: Cells, row: NDArray[np.int64], leap: Jump | None) 
 def increasing(t: Array) -> NDArray[np.bool_]:
     """Return which rows (rows,) `repeated = "drop"` keeps: those later than every row before.
 
-    A few times that are far too late (a stray stamp) would leave out all rows after them; they are left out instead.
+    A few times that are far too late (a single wrong stamp) would leave out all rows after them; they are left out
+    instead.
     """
     fresh = np.asarray(np.r_[True, t[1:] > np.maximum.accumulate(t)[:-1]])
     if fresh.mean() >= 1.0 - FEW:

@@ -309,7 +309,8 @@ def _home_in_ticks(rows: Array) -> str:
     middle = ", ".join(f"{-m:.0f}" for m in 0.5 * (low + high))
     return (
         "home: the ticks at which the robot rests. Effects such as gain, play and slack count from there. The middle "
-        f"of each range is taken, as with offset = [{middle}]; if the robot rests elsewhere, give offset of command"
+        f"of each range is taken, as with offset = [{middle}]; if the robot rests at other "
+        "commands, give offset of command"
     )
 
 

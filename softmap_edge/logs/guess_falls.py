@@ -67,9 +67,8 @@ def treatment(t: Array, jump: Jump | None, name: str) -> Treatment:
     if lost > _LOST * len(t):
         doubt = f"why '{name}' falls {len(rows)} times: {drops}, which is too much; {cut.removeprefix('or ')}"
         return Treatment([], moves, doubt, t)
-    doubt = (
-        f"why '{name}' falls {len(rows)} times (a stray stamp, rows out of order, a clock that was set): {drops}; {cut}"
-    )
+    doubt = f"why '{name}' falls {len(rows)} times (a single wrong stamp, rows out of order, a clock that was "
+    doubt += f"set): {drops}; {cut}"
     return Treatment(['repeated = "drop"'], moves, doubt, t)
 
 

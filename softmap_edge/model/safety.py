@@ -101,7 +101,7 @@ class Safety:
             f"high = {[*map(_short, self.high)]}",
             f"slew = {_short(self.slew)}",
             f"acceleration = {_short(self.acceleration)}",
-            f"jump = {[*map(_short, self.jump)]}  # told, refused",
+            f"jump = {[*map(_short, self.jump)]}  # warned, refused",
         ]
         lines += [] if self.tension is None else [f"\n[tendon]\ntension_n = {_short(self.tension)}"]
         lines.append("\n[time]  # s")
@@ -270,7 +270,7 @@ def _assumes(model: Model, tension: float | None, modulus: float | None) -> str:
             f"window and tension: the sweep simulated with {of}, {MARGIN:g} times its largest tension; a stiffer body "
             f"is pulled harder in proportion; {chosen}"
         )
-    by = "the run that taught it" if model.kind == "rod" else "a sweep made elsewhere"
+    by = "the run that taught it" if model.kind == "rod" else "an imported sweep"
     return f"window: {by}; tensions are not known{'' if len(model.triangles) else ', nor strains'}; {chosen}"
 
 

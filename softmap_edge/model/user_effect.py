@@ -111,7 +111,7 @@ def load_effect(path: str | Path, sha256: str | None = None) -> OwnEffect:
     if name in _LOADED:
         raise EffectError(
             f"{file}: another file of the effect '{name}' is loaded ({_LOADED[name].file}); one name stands for one "
-            f"file: forget_effect('{name}') first, or start anew"
+            f"file: forget_effect('{name}') first, or start again"
         )
     _core.register(declaration, _Law(declaration, file, rollout))
     _LOADED[name] = OwnEffect(name, file, source, digest)

@@ -299,7 +299,7 @@ def _tip(story: Story, figures: ModuleType) -> str:
     image = picture(figures.tip_path(story.series), "Path of the tip, measured and predicted")
     rows, t = figures.worst_stretch(story.series), story.series.t_seen
     part = "" if rows.stop - rows.start == len(t) else f", from {t[rows.start]:.0f} to {t[rows.stop - 1]:.0f} s, where "
-    part += "the error before is largest (faint: the whole run, measured)" if part else ""
+    part += "the error before is largest (faint: the complete run, measured)" if part else ""
     return section("Path of the tip", image, f"Tip centroid in the base frame, mm{part}{_short(story)}.")
 
 

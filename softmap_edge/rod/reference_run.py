@@ -177,7 +177,7 @@ def observe(
         stray, length = rms(markers - markers.mean(axis=0)), float(np.linalg.norm(markers[:, -1].mean(axis=0)))
         if stray < STILL * length:
             raise RunError(
-                f"the robot hardly moves: its markers stray {stray:.3g} mm from their mean (RMS), the last one is "
+                f"the robot hardly moves: its markers scatter by {stray:.3g} mm from their mean (RMS), the last one is "
                 f"{length:.3g} mm from the base, and under {100 * STILL:g} % of that a model learns noise; record a "
                 "run that goes through the robot's range, or correct the markers' unit"
             )

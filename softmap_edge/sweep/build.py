@@ -1,4 +1,4 @@
-"""Make a model from a sweep made elsewhere: another simulator's commands and shapes, or those of a motion capture.
+"""Make a model from an imported sweep: another simulator's commands and shapes, or those of a motion capture.
 
 A tensor grid of commands becomes a table, scattered commands become radial basis functions; loads bend the sweep's own
 centreline (`bending.py`). The model's own error is measured by leaving out: of a table every other node, of a scattered

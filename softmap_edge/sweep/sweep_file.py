@@ -1,4 +1,4 @@
-"""Read a sweep made elsewhere: commands and the shapes that another simulator, or a motion capture, found for them.
+"""Read an imported sweep: commands and the shapes that another simulator, or a motion capture, found for them.
 
 An `.npz` archive (numpy.savez); docs/elsewhere.md explains every field with an example.
 
@@ -286,7 +286,7 @@ def _enough(command: Floats, vertices: Floats) -> None:
     scaled = (command - command.mean(axis=0)) / spread
     if np.linalg.svd(scaled, compute_uv=False)[-1] < 1e-3 * np.sqrt(rows):
         raise SweepError(
-            "some channels always move together, so their effects cannot be told apart; move each on its own"
+            "some channels always move together, so their effects cannot be distinguished; move each on its own"
         )
     if float(np.ptp(vertices, axis=0).max()) < 1e-3:
         raise SweepError("the vertices are the same for every command; give the shape of each command")
@@ -308,8 +308,8 @@ def _lever(command: Floats, vertices: Floats) -> None:
         raise SweepError(
             f"row {row} of `command` is {pulled[row]:.3g} from home and moves a body of {size:.3g} mm by "
             f"{travel[row]:.3g} mm, "
-            f"as if tendons ran {lever:.2g} mm beside its middle; the commands look like {looks} (or, if they are mm, "
-            "say command_unit = 'mm')"
+            f"as if tendons ran {lever:.2g} mm away from its middle; the commands look like {looks} (or, if they are "
+            "mm, say command_unit = 'mm')"
         )
 
 

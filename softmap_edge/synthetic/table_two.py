@@ -40,7 +40,7 @@ Progress = Callable[[str, float], None]
 
 LETTERS = ("S", "H", "O", "E")
 PLANE = "xy"
-OURS, UNDONE, RIVAL = "ours", "ours, effects undone", "rival"
+OURS, UNDONE, RIVAL = "ours", "ours, effects compensated", "rival"
 WHERE = ("simulator", "stand_in")
 # Table II: mean, standard deviation and largest in mm, in simulation and on hardware; the paper's own data.
 PUBLISHED_ERRORS = {

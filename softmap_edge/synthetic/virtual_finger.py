@@ -183,7 +183,7 @@ def virtual_finger(
     if channels != len(PUBLISHED.home) or finger.command_unit != "mm":
         raise SoftmapError(
             f"{finger.name}: {channels} commands in {finger.command_unit}; the virtual finger has "
-            f"{len(PUBLISHED.home)} servos, each told mm of tendon: give such a finger"
+            f"{len(PUBLISHED.home)} servos, each commanded in mm of tendon: give such a finger"
         )
     rng = np.random.default_rng([seed, 90])
     modulus, phase = rng.uniform(*MODULUS), rng.uniform(*PHASE) * rng.choice([-1.0, 1.0])

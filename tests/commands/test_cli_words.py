@@ -63,7 +63,7 @@ def test_help_of_a_verb_is_what_the_option_prints(name, capsys):
 
 
 def test_help_alone_of_an_action_and_of_nothing(capsys):
-    assert main(["help"]) == 0 and "usage: softmap VERB" in capsys.readouterr().out
+    assert main(["help"]) == 0 and "usage: softmap COMMAND" in capsys.readouterr().out
     assert main(["help", "servo", "scan"]) == 0 and "usage: softmap servo scan" in capsys.readouterr().out
     assert main(["help", "run", "cut"]) == 0 and "--block" in capsys.readouterr().out
     assert main(["help", "nothing"]) == 2 and "no command 'nothing'" in capsys.readouterr().err

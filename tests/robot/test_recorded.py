@@ -167,7 +167,7 @@ def test_what_is_damaged_is_told_in_a_line(copied, head, row, capsys):
     seen.write_text("\n".join([changed(first, **head), changed(second, **row), *rest]) + "\n")
     assert main(["compare", str(copied)]) == 2
     said = capsys.readouterr().err
-    assert said.count("\n") == 1 and "o.seen: damaged, or not what is kept beside a recording" in said
+    assert said.count("\n") == 1 and "o.seen: damaged, or no `.seen` file of a recording" in said
     assert said.strip().isprintable() and len(said) < 400
 
 

@@ -15,7 +15,7 @@ from softmap_edge.robot.servo.rig import Rig, RigServo
 def test_every_state_and_cause_of_the_guard_has_its_words():
     said = {words.sentence({"state": state, "cause": "late", "servo": 1}) for state in words.STATES}
     assert len(said) == len(words.STATES)
-    assert "Holding where it is; it slackens soon: servo 2 did not answer in time" in said
+    assert "Holding where it is; it releases tension soon: servo 2 did not answer in time" in said
     assert words.sentence({"state": "engaged", "cause": "deadman"}) == "Driving"
     unsure = "torque off was sent; not every servo confirmed it"
     assert unsure in words.sentence({"state": "fault", "cause": "silent"})

@@ -195,7 +195,7 @@ def test_a_run_that_hardly_moves_is_refused_with_numbers(run):
         learn(replace(run, command=np.full_like(run.command, 3.0)), robot=arm())
     still = run.markers[:1] + 0.001 * (run.markers - run.markers[:1])
     for robot in (arm(), None):
-        with pytest.raises(RunError, match=r"hardly moves: its markers stray 0\.\d+ mm"):
+        with pytest.raises(RunError, match=r"hardly moves: its markers scatter by 0\.\d+ mm"):
             learn(replace(run, markers=still), robot=robot)
 
 

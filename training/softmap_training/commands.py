@@ -9,5 +9,7 @@ def verbs() -> list[Verb]:
     """Return the verbs to add."""
     return [
         Verb("train", "make a model", "train a prior or a residual network", "softmap_training.train_verb"),
-        Verb("evaluate", "understand", "models side by side, beside the paper's", "softmap_training.evaluate_verb"),
+        Verb(
+            "evaluate", "understand", "models side by side, with the paper's figures", "softmap_training.evaluate_verb"
+        ),
     ]

@@ -34,7 +34,8 @@ DRAWN = 1500  # points of a cloud in a picture
 TOP = 90.0  # percentile of the distances that ends the colours: outliers are beyond
 NAMES: Any = {"frameon": False, "borderaxespad": 0.2, "loc": "lower left", "bbox_to_anchor": (0.0, 1.0), "ncols": 5}
 AXIS = {
-    "chamfer": "Chamfer", "visible": "Chamfer, visible", "surface": "cloud → surface", "whole": "Chamfer, whole body",
+    "chamfer": "Chamfer", "visible": "Chamfer, visible", "surface": "cloud → surface",
+    "whole": "Chamfer, complete body",
     "vertex": "true vertices",
 }  # fmt: skip
 

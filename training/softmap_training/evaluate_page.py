@@ -82,7 +82,7 @@ def _sentence(document: Document) -> str:
         parts.append(f"{len(document['simulated'])} models on simulated shapes that taught nothing")
     if document["recorded"]:
         parts.append(f"{len(document['recorded'])} models on a recording of clouds")
-    return " and ".join(parts) + ", beside the paper's figures"
+    return " and ".join(parts) + ", with the paper's figures"
 
 
 def _main(document: Document) -> str:
@@ -122,7 +122,9 @@ def _recorded(
     found.append(section("Error over frames", drawn, "Mean over the seeds, mm."))
     if curve:
         drawn = picture(figures.over_samples(curve, rows, errors), "Error against frames that taught")
-        note = "Whole blocks of the recording that teaches, judged on the other. Bars: standard deviation over seeds."
+        note = (
+            "Complete blocks of the recording that teaches, validated on the other; bars: standard deviation of seeds"
+        )
         table = _table(document["samples"], RECORDED, samples)
         found.append(section("Error against the number of real samples", drawn + table, note))
     return found

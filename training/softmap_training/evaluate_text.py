@@ -12,12 +12,12 @@ Document = Mapping[str, Any]
 
 PAPER = (("deepsoro", "DeepSoRo"), ("without residual", "without residual"), ("with residual", "with residual"))
 SIMULATED, RECORDED = ("chamfer", "vertex"), ERRORS
-TOLD = {"whole": "whole body"}  # what a column is called, where that is not its key
+TOLD = {"whole": "complete body"}  # what a column is called, where that is not its key
 MEANING = {
     "chamfer": "chamfer: prediction to target + target to prediction, unsquared",
     "visible": "visible: the same, of the vertices alone that registration finds in the cloud",
     "surface": "surface: from the points of the cloud to the predicted surface (one-sided)",
-    "whole": "whole body: Chamfer to the true vertices, unseen sides too",
+    "whole": "complete body: Chamfer to the true vertices, unseen sides too",
     "vertex": "vertex: from each vertex to its true place",
 }
 NAME, CELL, SHARE = 32, 17, 12

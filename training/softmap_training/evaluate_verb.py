@@ -43,17 +43,17 @@ ALL = "all"
 MODELS = (*choices.PRIORS, *BASELINES)
 MOST_SEEDS = 100
 WITHOUT = ", without residual"
-BETWEEN = "told all nodes of its grid, so judged halfway between them"
+BETWEEN = "given all nodes of its grid, so validated halfway between them"
 
 
 def evaluate_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `evaluate`."""
     parser.add_argument("bundles", nargs="*", metavar="BUNDLE", help="models to judge; the built-in finger without any")
     effects_argument(parser)
-    parser.add_argument("--set", metavar="SET", help="simulated shapes (.zarr or .npz): judged on their test part")
+    parser.add_argument("--set", metavar="SET", help="simulated shapes (.zarr or .npz): validated on their test part")
     parser.add_argument(
         "--model", nargs="+", default=[], metavar="NAME",
-        help=f"fit to the rest of the set and judge beside them: {', '.join(MODELS)}, or all",
+        help=f"fit to the rest of the set and validate alongside: {', '.join(MODELS)}, or all",
     )  # fmt: skip
     parser.add_argument("--run", metavar="RUN", help="a recording of clouds that taught nothing")
     parser.add_argument("--truth", metavar="FILE", help="its true vertices, of `softmap record --virtual --truth`")
@@ -65,7 +65,7 @@ def evaluate_arguments(parser: argparse.ArgumentParser) -> None:
         "--residual", nargs="+", choices=choices.RESIDUALS, default=list(choices.RESIDUALS),
         help="which of these residuals to train: ours (modes), the published one; both without it",
     )  # fmt: skip
-    parser.add_argument("--no-decoder", action="store_true", help="no decoder beside them; it takes longest")
+    parser.add_argument("--no-decoder", action="store_true", help="no decoder alongside; it takes longest")
     parser.add_argument("--seed", type=int, default=0, help="the first that draws what is fitted here (0)")
     parser.add_argument("--seeds", type=int, default=1, help="how many: mean ± standard deviation over them (1)")
     parser.add_argument("--epochs", type=int, help="another number of epochs for the networks that are trained here")

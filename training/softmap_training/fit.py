@@ -206,7 +206,7 @@ def _resume(folder: Path, key: str, network: Any, optimizer: Any, falls: Any, dr
         raise
     # Whatever a damaged file makes torch raise.
     except Exception as fault:
-        raise TrainingError(f"{file}: cannot be read ({type(fault).__name__}); remove it to train anew") from None
+        raise TrainingError(f"{file}: cannot be read ({type(fault).__name__}); remove it to train again") from None
     with (folder / "log.csv").open("w", newline="", encoding="utf-8") as log:
         rows = csv.DictWriter(log, COLUMNS)
         rows.writeheader()

@@ -273,7 +273,7 @@ def _made(
         return nn.Sequential(Modes(found[-1], found[:-1])), points, 1
     if kind in ("laplacian", "arap"):
         if surface is None:
-            raise TrainingError(f"'{kind}' tells shapes by their surface; give the model of the finger")
+            raise TrainingError(f"'{kind}' needs the surface of shapes; give the model of the finger")
         encode = encodings.laplacian if kind == "laplacian" else encodings.arap
         told = encode(surface.rest, surface.triangles, surface.held, points)
         network = published_prior(commands[train], told.codes[train], PUBLISHED_DROPOUT)

@@ -28,7 +28,7 @@ def train_arguments(parser: argparse.ArgumentParser) -> None:
         "--model", choices=(*get_args(PriorKind), *BASELINES), default="modes",
         help="ours, to a few modes (default); the paper's network, with dropout or without; its layers to Laplacian "
         "coordinates or to rotations; least squares; as a table in the bundle: radial functions, a Gaussian process, "
-        "boosted trees; a decoder whose points are its own (a rival for `softmap track --table`)",
+        "boosted trees; a decoder whose points are its own (to compare in `softmap track --table`)",
     )  # fmt: skip
     residual = what.add_parser("residual", help="from a recording: what the model misses, by command")
     residual.add_argument("runs", nargs="+", metavar="run", help="recordings (.npz), clouds or vertices")
@@ -43,7 +43,7 @@ def train_arguments(parser: argparse.ArgumentParser) -> None:
         one.add_argument("--epochs", type=int, help="another number of epochs")
         one.add_argument("--seed", type=int, help="draws the first weights and the order (0)")
         one.add_argument("--device", choices=("cpu", "cuda"), default="cpu", help="where to train")
-        one.add_argument("--tensorboard", action="store_true", help="write events for TensorBoard beside the log")
+        one.add_argument("--tensorboard", action="store_true", help="write events for TensorBoard next to the log")
         one.add_argument("--json", action="store_true", default=argparse.SUPPRESS, help="print one document")
 
 
@@ -148,9 +148,9 @@ def _told(document: dict[str, Any]) -> str:
         lines = [
             f"{head} decoder in the manner of DeepSoRo, {took}; it is read through onnxruntime, as a table that is "
             f"{document['table_off_mm']:.1g} mm off it",
-            f"  {document['test_chamfer_mm']:.2f} mm Chamfer distance from the simulated vertices (there and back, "
+            f"  {document['test_chamfer_mm']:.2f} mm Chamfer distance from the simulated vertices (both directions, "
             f"test part, held out); {document['parameters']} numbers learned from {document['samples']} shapes. Its "
-            "points are no vertices: it stands beside models, in `softmap track --table`",
+            "points are no vertices: it is compared with models in `softmap track --table`",
         ]
     elif document["what"] == "prior":
         lines.append(

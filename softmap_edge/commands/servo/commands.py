@@ -257,7 +257,7 @@ ACTIONS: dict[str, Action] = {
     "limits": ("every limit in force on a bench, and who set it", limits_arguments, limits),
     "off": ("switch the torque of every servo off", _off_arguments, _off),
     "reboot": ("restart a servo that has shut itself down", reboot_arguments, reboot),
-    "heartbeat": ("be the emergency stop of a robot elsewhere", heartbeat_arguments, heartbeat),
+    "heartbeat": ("be the emergency stop of a robot on another computer", heartbeat_arguments, heartbeat),
     "emulate": ("an emulated robot: servos, a finger, a camera, faults on command", emulate_arguments, emulate),
 }
 

@@ -99,7 +99,7 @@ def bench_calibration(rig: Rig, model: Model, pulley: Radius, signs: Sequence[in
             "of the rig pulls command k, so they must agree"
         )
     if model.command_unit != "mm":
-        raise CalibrationError(f"the model's commands are {model.command_unit}; a radius tells only mm of tendon")
+        raise CalibrationError(f"the model's commands are {model.command_unit}; a radius gives only mm of tendon")
     homes = [servo.home for servo in rig.servos]
     if missing := [servo.id for servo in rig.servos if servo.home is None]:
         raise ServoError(no_home(missing))

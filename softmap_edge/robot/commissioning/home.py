@@ -120,7 +120,7 @@ def _far(servo: RigServo, position: int, home: int, turned: int, most: float) ->
     if abs(home) > FARTHEST:
         raise ServoError(f"servo {servo.id}: home at {home} ticks; allowed is ±{FARTHEST}: make this home with --new")
     if turned != 0:
-        stands = f"stands {turned:+d} turns from its home, which is still proved: a tendon is wound up"
+        stands = f"stands {turned:+d} turns from its home, which is still known: a tendon is wound up"
         return f"servo {servo.id} {stands}", jogs(servo.id, home - turned * TURN - position, most)
     if abs(position - home) > NEAR:
         stands = f"stands at {position}, {position - home:+d} ticks from the stored home within a turn"

@@ -270,7 +270,7 @@ def _allowed(servo: RigServo, legs: tuple[Leg, Leg]) -> float:
         if not leg.rises > RISES * entry["current_unit_mA"]:
             raise ServoError(
                 f"servo {servo.id} draws {leg.mA:.0f} mA at {leg.stroke:+.0f} ticks, {leg.rises:+.1f} against home: it "
-                "pulls nothing there; look for a torn or slack tendon, or a stroke that is too short to tell"
+                "pulls nothing there; look for a torn or slack tendon, or a stroke that is too short to measure"
             )
     stroke = max(leg.mA for leg in legs)
     return round(MARGIN * stroke + IDLE * float(entry["stall_current_mA"]), 1)

@@ -189,7 +189,7 @@ class Controller(Supervisor):
             why = words.denied(denied, self._last, self.limits)
             raise ServoError(self._named(f"'{name}' is denied {words.where({'state': before})}: {why}"))
         if reached is not None and self._last["state"] != reached:
-            raise ServoError(f"'{name}' led elsewhere: {self._stopped()}")
+            raise ServoError(f"'{name}' led to another state: {self._stopped()}")
 
     def engage(self, u: ArrayLike | None = None) -> Floats:
         """Switch torque on where the finger stands and go to `u` (C,) mm, by default straight.

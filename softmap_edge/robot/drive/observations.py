@@ -188,11 +188,11 @@ def read_kept(file: Path) -> Kept:
                 raise ValueError("its first line fails its checksum")
             _read_lines(lines, kept, checked, file)
     except OSError as fault:
-        raise RunError(f"{file}: {(fault.strerror or '').lower()}; give what was kept beside a recording") from None
+        raise RunError(f"{file}: {(fault.strerror or '').lower()}; give the `.seen` file of a recording") from None
     except (ValueError, KeyError, TypeError, IndexError, OverflowError, RecursionError) as fault:
         said = "".join(c if c.isprintable() else "?" for c in f"{fault!s:.60}")
         raise RunError(
-            f"{file}: damaged, or not what is kept beside a recording ({said}); without it the recording is one of "
+            f"{file}: damaged, or no `.seen` file of a recording ({said}); without it the recording is one of "
             "which nothing was seen"
         ) from None
     return kept

@@ -78,7 +78,7 @@ def pace(made: Protocol, calibration: Calibration, servos: Sequence[dict[str, fl
         k, c = np.unravel_index(int(np.argmax(outside)), outside.shape)
         raise SoftmapError(
             f"row {k + 1}: command {made.command[k, c]:g} {made.unit} is tick {ticks[k, c]:.0f} of servo {c}, its "
-            f"window is {low[c]:.0f} to {high[c]:.0f}; write a file of a smaller range, or measure the window anew"
+            f"window is {low[c]:.0f} to {high[c]:.0f}; write a file of a smaller range, or measure the window again"
         )
     fastest = np.minimum(SHARE * slew, BEHIND * following / ANSWER)
     least = (np.abs(np.diff(ticks, axis=0)) / fastest).max(axis=1)

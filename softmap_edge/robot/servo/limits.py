@@ -239,7 +239,7 @@ def _at_home(rig: Rig, calibration: Calibration, box: Floats) -> Calibration:
         if left > most:
             raise ServoError(
                 f"servo {servo.id}: home of the bench is {servo.home}, the calibration was made about "
-                f"{calibration.home[k]:g}: {left:g} ticks apart beside whole turns, allowed are {most:.0f}; home it "
+                f"{calibration.home[k]:g}: {left:g} ticks apart, whole turns removed, allowed are {most:.0f}; home it "
                 "again where the finger is straight, or calibrate again"
             )
     return here

@@ -53,7 +53,9 @@ def read_ceiling(table: TomlTable) -> Ceiling:
         if name == "jump":
             pair = table.numbers(name, (2,))
             if pair is not None and not low <= pair[0] <= pair[1] <= high:
-                raise ServoError(f"{table.where}: jump = {pair.tolist()}, expected 0 ≤ told ≤ refused ≤ {high:g} ticks")
+                raise ServoError(
+                    f"{table.where}: jump = {pair.tolist()}, expected 0 ≤ warned ≤ refused ≤ {high:g} ticks"
+                )
             if pair is not None:
                 found.append((name, (float(pair[0]), float(pair[1]))))
         elif (value := table.number(name, None, low, high)) is not None:

@@ -61,11 +61,11 @@ DENIED = {
 }
 STATES = {
     "off": "Not connected, torque is off",
-    "connected": "Connected, torque is off; home has to be proved before anything moves",
-    "homed": "Home is proved, torque is off",
+    "connected": "Connected, torque is off; home the robot before it can move",
+    "homed": "Homed, torque is off",
     "ready": "Ready, torque is off",
     "engaged": "Driving",
-    "hold": "Holding where it is; it slackens soon",
+    "hold": "Holding where it is; it releases tension soon",
     "safe_stop": "Slackening: it goes straight, then torque goes off",
     "commissioning": "Commissioning",
     "fault": "Fault, torque is off",

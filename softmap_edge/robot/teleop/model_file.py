@@ -129,7 +129,7 @@ def _networks(file: Path) -> tuple[dict[str, bytes], bool]:
             if set(names) == {DETECTOR, LANDMARKS}:
                 if any(member.compress_type != zipfile.ZIP_STORED for member in members):
                     raise TeleopError(
-                        f"{file}: its networks are compressed, which mediapipe cannot read; fetch it anew"
+                        f"{file}: its networks are compressed, which mediapipe cannot read; fetch it again"
                     )
                 places = {DETECTOR: DETECTOR, LANDMARKS: LANDMARKS}
             elif set(IN_WHEEL.values()) <= set(names):

@@ -57,10 +57,10 @@ class OneEuro:
         seen = np.atleast_1d(np.asarray(x, dtype=np.float64))
         if not (math.isfinite(t) and np.isfinite(seen).all()):
             raise TeleopError(
-                f"one-euro filter: t = {t}, x = {seen.tolist()!s:.60}; give finite numbers, or start anew"
+                f"one-euro filter: t = {t}, x = {seen.tolist()!s:.60}; give finite numbers, or start again"
             )
         if state is not None and seen.shape != state.x.shape:
-            raise TeleopError(f"one-euro filter: x of shape {seen.shape} after {state.x.shape}; start anew with None")
+            raise TeleopError(f"one-euro filter: x of shape {seen.shape} after {state.x.shape}; start again with None")
         dt = math.inf if state is None else t - state.t
         if state is None or abs(dt) > self.gap:
             return OneEuroState(t, seen, np.zeros_like(seen))

@@ -14,7 +14,7 @@ from softmap_edge.robot.teleop.hand_source import SEEN, HandSource
 from softmap_edge.robot.teleop.keys import Input
 from softmap_edge.robot.teleop.landmarks import Message, Sender
 
-UNHEARD = "nobody answers there yet: `softmap teleop --camera udp://:PORT` must run there, with the same key"
+UNHEARD = "no answer from there yet: `softmap teleop --camera udp://:PORT` must run there, with the same key"
 EVERY = 0.05  # s between two messages, at least while no picture comes: the key's heartbeat
 
 

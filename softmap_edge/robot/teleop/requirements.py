@@ -61,7 +61,7 @@ def mediapipe(installed: Iterable[Distribution]) -> Line:
         return Line("mediapipe", WARNING, "not installed", f"run {INSTALL}, or {UDP}")
     if _numbers(found.version) <= LAST_SILENT:
         return Line("mediapipe", OK, found.version)
-    said = f"{found.version}, which tells its maker that it is used when there is a network (docs/teleop.md)"
+    said = f"{found.version}, which reports its use to its maker when there is a network (docs/teleop.md)"
     return Line("mediapipe", OK, said)
 
 
@@ -97,7 +97,7 @@ def processor(machine: str | None = None, cpu: Path = CPU) -> Line:
     if lines and not all("atomics" in line for line in lines):
         mend = f"install mediapipe==0.10.18, or {UDP}"
         return Line("processor", WARNING, f"{machine} without LSE atomics: mediapipe 1.0 and later abort here", mend)
-    return Line("processor", OK, f"{machine} with LSE atomics" if lines else f"{machine}, features not told")
+    return Line("processor", OK, f"{machine} with LSE atomics" if lines else f"{machine}, features not reported")
 
 
 def hand_model(path: str | Path | None = None) -> Line:

@@ -1,4 +1,4 @@
-"""The terminal's keys: Space or an arrow held drives, Esc slackens, e stops at once, q ends.
+"""The terminal's keys: Space or an arrow held drives, Esc releases tension, e stops at once, q ends.
 
 A terminal tells no key-up: a key counts as held while it repeats (`terminal_keys`), so letting go is noticed 0.2 s
 later, after a short tap 0.7 s. Pinned by tests/robot/test_teleop_terminal.py.
@@ -18,7 +18,10 @@ ARROWS = {
     "d": (1, 0), "a": (-1, 0), "w": (0, 1), "s": (0, -1),
 }  # fmt: skip
 WISHES = {"escape": "stop", "x": "stop", EMERGENCY: "emergency", "q": "end", "r": "acknowledge"}
-HELP = f"hold Space to drive, arrows or WASD move, Esc slackens, {EMERGENCY} stops at once, r resets a fault, q ends"
+HELP = (
+    "Space (held) drives, arrows or WASD move, Esc releases tension, "
+    f"{EMERGENCY} stops at once, r resets a fault, q ends"
+)
 
 
 class Terminal:
