@@ -11,8 +11,8 @@ from contextlib import contextmanager, nullcontext
 from importlib.metadata import entry_points
 from typing import TextIO, cast
 
-from softmap_edge.commands import ELSEWHERE, VERBS, Verb
-from softmap_edge.commands.incomplete import telling
+from softmap_edge.commands import ELSEWHERE, VERBS, Command
+from softmap_edge.commands.incomplete import printing_warnings
 from softmap_edge.commands.parser import Parser
 from softmap_edge.commands.pipe import outliving
 from softmap_edge.errors import SoftmapError, no_name
@@ -49,7 +49,7 @@ def _main(argv: list[str]) -> int:
     """Find the command and run it."""
     # Small factorisations are ten times slower with BLAS threads; read when numpy is first loaded.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    verbs = {verb.name: verb for verb in verbs_here()}
+    verbs = {verb.name: verb for verb in commands_here()}
     if not argv or argv[0] in ("-h", "--help"):
         print(_overview(list(verbs.values())))
         return DONE if argv else WRONG_USE
@@ -71,7 +71,7 @@ def _main(argv: list[str]) -> int:
         return INTERRUPTED
 
 
-def parser_of(verb: Verb) -> Parser:
+def parser_of(verb: Command) -> Parser:
     """Return the argument parser of a command."""
     module = importlib.import_module(verb.module)
     parser = Parser(prog=f"softmap {verb.name}", description=verb.help)
@@ -80,12 +80,12 @@ def parser_of(verb: Verb) -> Parser:
     return parser
 
 
-def verbs_here() -> list[Verb]:
+def commands_here() -> list[Command]:
     """Return the commands of this installation."""
     return [*VERBS, *_plugged_in()]
 
 
-def _run(verb: Verb, argv: list[str]) -> int:
+def _run(verb: Command, argv: list[str]) -> int:
     module = importlib.import_module(verb.module)
     function = verb.name.replace("-", "_") + ("_" if verb.name == "import" else "")
     parser = parser_of(verb)
@@ -96,7 +96,7 @@ def _run(verb: Verb, argv: list[str]) -> int:
     except SystemExit as stop:  # argparse has printed why
         return int(stop.code or 0)
     try:
-        with telling(verb.name) as incomplete:
+        with printing_warnings(verb.name) as incomplete:
             code = int(getattr(module, function)(args))
         if sys.stdout is not None:  # closed by whoever started it
             sys.stdout.flush()  # a closed pipe is noticed here, not when the interpreter ends
@@ -123,12 +123,12 @@ def _of_the_system(error: OSError) -> str:
     return f"{path}: {error.strerror.lower()}; give a path that exists and may be used for this"
 
 
-def _plugged_in() -> list[Verb]:
+def _plugged_in() -> list[Command]:
     return [verb for point in entry_points(group="softmap.commands") for verb in point.load()()]
 
 
-def _overview(verbs: list[Verb]) -> str:
-    lines = ["usage: softmap COMMAND [options]   (softmap help VERB)", ""]
+def _overview(verbs: list[Command]) -> str:
+    lines = ["usage: softmap COMMAND [options]   (softmap help COMMAND)", ""]
     for group in dict.fromkeys(verb.group for verb in verbs):
         lines.append(f"{group}:")
         lines += [f"  {verb.name:<10} {verb.help}" for verb in verbs if verb.group == group]

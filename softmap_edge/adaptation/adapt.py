@@ -111,7 +111,7 @@ class Adaptation:
 def _of_residual(told: dict[str, Any], kept: bool) -> str:
     if "why" in told:
         return f"no residual: {told['why']}"
-    every = "" if told["frames"] == told["of_frames"] else f" of {told['of_frames']} (whole ones, {ROWS} at most)"
+    every = "" if told["frames"] == told["of_frames"] else f" of {told['of_frames']} (complete ones, {ROWS} at most)"
     line = f"residual of {told['size_mm']:.2f} mm RMS over the command, learned from {told['frames']} frames{every}"
     return line if kept else f"{line}: left out, it does not surely lower what was held out"
 

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from softmap_edge.alignment.checks import check_places, check_whole
+from softmap_edge.alignment.checks import check_places, check_points_match
 from softmap_edge.alignment.groups import GROUP_FRAMES, Moved, base_motion, follow, group
 from softmap_edge.alignment.result import Alignment, base_markers
 from softmap_edge.alignment.solve import solve
@@ -56,7 +56,7 @@ def align_home(run: Run, model: Model) -> Alignment:
     visits = home_visits(run, model)
     inside = np.concatenate(visits)
     predicted = np.asarray(model.predict(run.at(inside)), float)
-    check_whole(predicted, seen.shape)
+    check_points_match(predicted, seen.shape)
     target = np.zeros_like(seen)
     target[inside] = predicted
     groups = group(run, seen, visible, target, visits)

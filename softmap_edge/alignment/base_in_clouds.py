@@ -72,7 +72,7 @@ def align_clouds(run: Run, model: Model) -> Alignment:
     count = sum(map(len, clouds))
     if count < LEAST:
         raise AlignError(
-            f"{count} points within {GATE:g} mm of the lowest {ZONE * height:.0f} mm of the body, {LEAST} or more tell "
+            f"{count} points within {GATE:g} mm of the lowest {ZONE * height:.0f} mm of the body, {LEAST} or more show "
             "where the base stands; show the base to the cameras"
         )
     pose, step = RigidPose(np.eye(3), np.zeros(3)), np.zeros(6)

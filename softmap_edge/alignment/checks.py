@@ -25,7 +25,7 @@ SHAPE = 0.12  # of the extent: what may be left between the points and the model
 STUDENT = (12.706, 4.303, 3.182, 2.776, 2.571, 2.447, 2.365, 2.306, 2.262, 2.228)  # 97.5 %, 1 to 10 degrees of freedom
 
 
-def check_whole(predicted: Floats, shape: tuple[int, ...]) -> None:
+def check_points_match(predicted: Floats, shape: tuple[int, ...]) -> None:
     """Raise AlignError when a model predicts other points than the run shows, or none."""
     if predicted.shape[1:] != shape[1:] or not np.isfinite(predicted).all():
         raise AlignError(

@@ -214,22 +214,23 @@ def _check_design(held: HeldOut, edge: int, frames: int) -> None:
     """Refuse held commands that cannot tell A and b."""
     channels = held.ticks.shape[1] if len(held) else 1
     wanted = SPARE * (channels + 1)
-    told = held.told.sum(axis=0) if len(held) else np.zeros(1, int)
+    told = held.observed.sum(axis=0) if len(held) else np.zeros(1, int)
     if min(told) < wanted:
         cut = f"; {edge} of {frames} frames lie at the end of the model's range" if edge else ""
-        slack = f", of which {', '.join(map(str, told))} tell command {', '.join(map(str, range(len(told))))}"
+        slack = f", of which {', '.join(map(str, told))} determine command {', '.join(map(str, range(len(told))))}"
         raise CalibrationError(
             f"{len(held)} different held commands{slack if len(held) else ''}{cut}: at least {wanted} are needed for "
             f"{channels + 1} numbers a command; hold {2 * wanted} or more, on both sides of home, each channel alone "
             "and together"
         )
     for c in range(channels):
-        rows = held.ticks[held.told[:, c]]
+        rows = held.ticks[held.observed[:, c]]
         size = np.linalg.svd(rows - rows.mean(axis=0), compute_uv=False) / np.sqrt(len(rows))
         if channels > 1 and size[-1] < LINE * size[0] or size[0] < 1.0:
             raise CalibrationError(
-                f"the {len(rows)} held commands that tell command {c} lie on a line: {size[0]:.0f} ticks RMS along, "
-                f"{size[-1] if channels > 1 else 0.0:.0f} across; move each servo alone, and both against each other"
+                f"the {len(rows)} held commands that determine command {c} lie on a line: {size[0]:.0f} ticks RMS "
+                f"along, {size[-1] if channels > 1 else 0.0:.0f} across; move each servo "
+                "alone, and both against each other"
             )
 
 
@@ -252,7 +253,7 @@ def _fit(held: HeldOut, home: Floats, columns: Floats | None = None, use: Mask |
     """Fit A and b to the rows `use` of held commands; `columns` (n, m) are fitted beside them."""
     design = _design(held.ticks, home)
     whole = design if columns is None else np.column_stack([design, columns])
-    return fit(whole[use], held.u[use], held.covariance[use], held.told[use]).first(design.shape[1])
+    return fit(whole[use], held.u[use], held.covariance[use], held.observed[use]).first(design.shape[1])
 
 
 def _held_out(
@@ -265,7 +266,7 @@ def _held_out(
     sound, at, first = found.weight > 0, np.full(held.u.shape, np.nan), _first(held)
     count = _design(held.ticks, home).shape[1] + (0 if columns is None else columns.shape[1])
     for test in _blocks(run, held):
-        if min(held.told[~test].sum(axis=0)) > count:
+        if min(held.observed[~test].sum(axis=0)) > count:
             at[test] = _fit(held, home, columns, ~test)(_design(held.ticks[test], home))
     off = held.u - at
     good = sound & np.isfinite(at).all(axis=1)
@@ -286,7 +287,7 @@ def _held_out(
         distance = np.linalg.norm(model.predict(still) - seen, axis=2)[visible]
         return float(np.sqrt(np.mean(distance**2)))
 
-    told = off[good][held.told[good]]
+    told = off[good][held.observed[good]]
     return {
         "command": float(np.sqrt(np.mean(told**2))),
         "shape_mm": shape_error(at[order]),
@@ -324,7 +325,7 @@ def _remarks(model: Model, held: HeldOut, found: AffineFit, matches: Matches, ca
     notes = []
     if not held.still:
         notes.append("too few dwells: frames are taken in motion, where delays and play are in A and b; hold commands")
-    few, enough = int(held.told.sum(axis=0).min()), 2 * SPARE * (held.ticks.shape[1] + 1)
+    few, enough = int(held.observed.sum(axis=0).min()), 2 * SPARE * (held.ticks.shape[1] + 1)
     if few < enough:
         notes.append(
             f"{few} held commands are few: A and b may be farther off than their ± says; hold {enough} or more"
@@ -337,9 +338,9 @@ def _remarks(model: Model, held: HeldOut, found: AffineFit, matches: Matches, ca
             f"{int(matches.edge.sum())} of {len(matches.edge)} frames lie at the end of the model's range and are left "
             "out; build it with a wider one, or move less"
         )
-    slack = int((~held.told).sum())
+    slack = int((~held.observed).sum())
     if slack:
-        notes.append(f"{slack} of {held.told.size} commands hang slack where they were held, and are left out")
+        notes.append(f"{slack} of {held.observed.size} commands hang slack where they were held, and are left out")
     outside = np.any((calibration.b < model.command_range[:, 0]) | (calibration.b > model.command_range[:, 1]))
     if outside:
         notes.append("at home the model is outside the range of its commands: is home right?")

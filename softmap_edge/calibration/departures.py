@@ -73,7 +73,7 @@ def departures(held: HeldOut, home: Floats, unit: str) -> list[Departure]:
     away = held.ticks - home
     plain = np.column_stack([away, np.ones(len(away))])
     parts = _folds(held.place)
-    scatter = fit(plain, held.u, held.covariance, held.told).scatter
+    scatter = fit(plain, held.u, held.covariance, held.observed).scatter
     base = _distances(plain, held, parts, scatter)
     found: list[tuple[float, float, float, str, str, Floats]] = []
     if base is None:
@@ -81,7 +81,7 @@ def departures(held: HeldOut, home: Floats, unit: str) -> list[Departure]:
     for kind, what, columns in _rivals(held, away):
         design = np.column_stack([plain, columns])
         if (
-            held.told.sum(axis=0).min() < SPARE * design.shape[1]
+            held.observed.sum(axis=0).min() < SPARE * design.shape[1]
             or np.linalg.cond(design / np.linalg.norm(design, axis=0)) > 1e6
         ):
             continue
@@ -144,12 +144,12 @@ def _distances(design: Floats, held: HeldOut, parts: list[Mask], scatter: Floats
     off = np.zeros(held.u.shape)
     for test in parts:
         train = ~test
-        if held.told[train].sum(axis=0).min() <= design.shape[1]:
+        if held.observed[train].sum(axis=0).min() <= design.shape[1]:
             return None
-        found = fit(design[train], held.u[train], held.covariance[train], held.told[train])
+        found = fit(design[train], held.u[train], held.covariance[train], held.observed[train])
         off[test] = held.u[test] - found(design[test])
-    squares = np.where(held.told, (off / scatter) ** 2, 0.0).sum(axis=1)
-    return np.asarray(np.sqrt(squares / np.maximum(held.told.sum(axis=1), 1)))
+    squares = np.where(held.observed, (off / scatter) ** 2, 0.0).sum(axis=1)
+    return np.asarray(np.sqrt(squares / np.maximum(held.observed.sum(axis=1), 1)))
 
 
 def _told(
@@ -164,7 +164,7 @@ def _told(
     unit: str,
 ) -> Departure:
     """Say how far from affine a rival is, and where."""
-    found: AffineFit = fit(design, held.u, held.covariance, held.told)
+    found: AffineFit = fit(design, held.u, held.covariance, held.observed)
     count = away.shape[1] + 1
     extra = design[:, count:] @ found.coefficients[:, count:].T
     plain = design[:, :count]

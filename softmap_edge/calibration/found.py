@@ -42,11 +42,11 @@ class Calibrated:
     @property
     def left(self) -> Floats:
         """What the map leaves of the matched commands (n, C); NaN where a command was not told."""
-        return np.where(self.held.told, self.held.u - self.calibration.commands(self.held.ticks), np.nan)
+        return np.where(self.held.observed, self.held.u - self.calibration.commands(self.held.ticks), np.nan)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the document softmap.calibration/1 with the matched pairs and what speaks against it."""
-        found, pairs = self.calibration, zip(self.held.u.tolist(), self.held.told.tolist())
+        found, pairs = self.calibration, zip(self.held.u.tolist(), self.held.observed.tolist())
         return found.to_dict() | {
             "affine": self.affine,
             "departures": [one.to_dict() for one in self.departures],

@@ -28,7 +28,7 @@ WINDOW = 0.5  # s over which the way of a servo is taken
 
 @dataclass(frozen=True, eq=False)
 class HeldOut:
-    """Held commands: `ticks` (n, C), `u` (n, C) the commands matched, their `covariance` and which are `told`.
+    """Held commands: `ticks` (n, C), `u` (n, C) the commands matched, their `covariance` and which are `observed`.
 
     `place` (n,) numbers the places; `direction` (n, m) holds signs of the last motion before, where they were asked
     for; `frames` are the numbers of the frames of each. `still` says whether they are dwells.
@@ -37,7 +37,7 @@ class HeldOut:
     ticks: Floats
     u: Floats
     covariance: Floats
-    told: Mask
+    observed: Mask
     place: Index
     direction: Floats
     frames: list[Index]
@@ -83,7 +83,7 @@ def gather(seen: SeenMarkers, matches: Matches, direction: Floats | None = None)
         ticks=np.array([seen.ticks[part].mean(axis=0) for part in parts]),
         u=np.array([np.median(matches.command[row], axis=0) for row in rows]),
         covariance=np.array([matches.covariance[row].mean(axis=0) / len(row) for row in rows]),
-        told=np.array([matches.told[row].mean(axis=0) > 0.5 for row in rows]),
+        observed=np.array([matches.observed[row].mean(axis=0) > 0.5 for row in rows]),
         place=np.array([seen.place[part[0]] for part in parts]),
         direction=np.array([way[part[0]] for part in parts]),
         frames=rows,

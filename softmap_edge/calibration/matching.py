@@ -50,15 +50,15 @@ class Matches:
 
     `covariance` (K, C, C) of each, from the noise and from what is left, section by section. `mae_mm` (K,) is the mean
     absolute error that is left, over the coordinates of the points seen. `edge` (K,) marks commands at the end of the
-    model's range, beyond which the true one may lie. `told` (K, C) says which commands move the shape there: where both
-    tendons of a pair hang slack, the command between them is a guess, with the variance of the whole range.
+    model's range, beyond which the true one may lie. `observed` (K, C) says which commands move the shape there:
+    where both tendons of a pair hang slack, the command between them is a guess, with the variance of the whole range.
     """
 
     command: Floats
     covariance: Floats
     mae_mm: Floats
     edge: Mask
-    told: Mask
+    observed: Mask
 
 
 def match(model: Model, run: Run, refine: bool = True) -> Matches:
@@ -94,16 +94,16 @@ def match(model: Model, run: Run, refine: bool = True) -> Matches:
         there, left, _ = _left(shapes, seen[part], weight[part], u[part])
         slopes = shapes.without_roll(shapes.slopes(u[part]), there, weight[part])
         covariance[part] = _covariance(shapes.member, slopes, left, weight[part], run.sigma is not None)
-    told = _told(shapes, grid, u, low, high)
-    covariance += _slack(told, low, high)
+    observed = _observed(shapes, grid, u, low, high)
+    covariance += _slack(observed, low, high)
     off = np.abs(shapes(u) - seen).sum(axis=2)
     count = visible.sum(axis=1)
     mae = np.where(visible, off, 0.0).sum(axis=1) / np.maximum(3 * count, 1)
     lost = count < max(3.0, LEAST_SEEN * visible.shape[1])
     u[lost], covariance[lost], mae[lost] = np.nan, np.nan, np.nan
     reach = EDGE * (high - low)
-    edge = (told & ((u <= low + reach) | (u >= high - reach))).any(axis=1)  # what hangs slack may be anywhere
-    return Matches(u, covariance, mae, np.asarray(edge, np.bool_), told)
+    edge = (observed & ((u <= low + reach) | (u >= high - reach))).any(axis=1)  # what hangs slack may be anywhere
+    return Matches(u, covariance, mae, np.asarray(edge, np.bool_), observed)
 
 
 def linearised(model: Model, run: Run, matches: Matches, frames: Index, commands: Floats, turn: float) -> Matches:
@@ -112,7 +112,7 @@ def linearised(model: Model, run: Run, matches: Matches, frames: Index, commands
     What hangs slack where a map puts it stays there, and does not jump over the slack for what the model lacks.
     `turn` in rad: of all shapes about the axis of the base.
     """
-    command, covariance, told = matches.command.copy(), matches.covariance.copy(), matches.told.copy()
+    command, covariance, observed = matches.command.copy(), matches.covariance.copy(), matches.observed.copy()
     low, high = model.command_range.T
     some = run.at(frames)
     for rows, family in priors_by_orientation(model, some):
@@ -128,9 +128,9 @@ def linearised(model: Model, run: Run, matches: Matches, frames: Index, commands
             left -= np.einsum("knxc,kc->knx", slopes, step)
             command[at] = u + step
             covariance[at] = _covariance(shapes.member, slopes, left, weight, some.sigma is not None)
-            told[at] = _told(shapes, _grid(low, high), u, low, high)
-    covariance[frames] += _slack(told[frames], low, high)
-    return replace(matches, command=command, covariance=covariance, told=told)
+            observed[at] = _observed(shapes, _grid(low, high), u, low, high)
+    covariance[frames] += _slack(observed[frames], low, high)
+    return replace(matches, command=command, covariance=covariance, observed=observed)
 
 
 def weighted(model: Model, run: Run) -> tuple[Floats, Floats]:
@@ -141,9 +141,9 @@ def weighted(model: Model, run: Run) -> tuple[Floats, Floats]:
     return np.where(visible[..., None], points, 0.0), visible / np.maximum(sigma, 1e-6) ** 2
 
 
-def _slack(told: Mask, low: Floats, high: Floats) -> Floats:
+def _slack(observed: Mask, low: Floats, high: Floats) -> Floats:
     """Return the covariance (K, C, C) of commands that shapes do not tell: that of their whole range."""
-    return np.asarray(np.einsum("kc,cd->kcd", ~told * (high - low) ** 2 / 12.0, np.eye(len(low))))
+    return np.asarray(np.einsum("kc,cd->kcd", ~observed * (high - low) ** 2 / 12.0, np.eye(len(low))))
 
 
 def _joined(parts: list[tuple[NDArray[np.intp], Matches]]) -> Matches:
@@ -248,15 +248,15 @@ def _inverse(bend: Floats) -> Floats:
     return np.asarray(np.linalg.inv(bend + 1e-6 * np.einsum("kcc->k", bend)[:, None, None] * eye + 1e-12 * eye))
 
 
-def _covariance(member: Floats, slopes: Floats, left: Floats, weight: Floats, told: bool) -> Floats:
+def _covariance(member: Floats, slopes: Floats, left: Floats, weight: Floats, known: bool) -> Floats:
     """Return the covariance (k, C, C): of independent noise, or of what is left where whole sections are off together.
 
-    `told`: the weights are those of a known noise.
+    `known`: the weights are those of a known noise.
     """
     inverse = _inverse(_squares(slopes, weight))
     cost = np.einsum("kn,knx,knx->k", weight, left, left, optimize=True)
     spread = cost / np.maximum(3.0 * (weight > 0).sum(axis=1) - slopes.shape[-1], 1.0)
-    noise = inverse * (np.maximum(spread, 1.0) if told else spread)[:, None, None]
+    noise = inverse * (np.maximum(spread, 1.0) if known else spread)[:, None, None]
     each = np.einsum("kn,knxc,knx->knc", weight, slopes, left, optimize=True)
     parts = np.einsum("ns,knc->ksc", member, each)
     together = inverse @ np.einsum("ksc,ksd->kcd", parts, parts) @ inverse
@@ -264,14 +264,14 @@ def _covariance(member: Floats, slopes: Floats, left: Floats, weight: Floats, to
     return np.asarray(np.where(larger[:, None, None], together, noise))
 
 
-def _told(shapes: Shapes, grid: Floats, u: Floats, low: Floats, high: Floats) -> Mask:
+def _observed(shapes: Shapes, grid: Floats, u: Floats, low: Floats, high: Floats) -> Mask:
     """Return which commands (K, C) move the shape, to both sides, as commands of that channel usually do."""
-    told, some = np.ones(u.shape, bool), grid[:: max(1, len(grid) // USUAL)]
+    observed, some = np.ones(u.shape, bool), grid[:: max(1, len(grid) // USUAL)]
     for c, step in enumerate(np.diag(STEP * (high - low))):
 
         def moved(at: Floats, step: Floats = step) -> Floats:
             return np.asarray(np.sqrt(np.mean((shapes(at + step) - shapes(at)) ** 2, axis=(1, 2))))
 
         least = MOVES * float(np.median(moved(some)))
-        told[:, c] = (moved(u) > least) & (moved(u - step) > least)
-    return told
+        observed[:, c] = (moved(u) > least) & (moved(u - step) > least)
+    return observed

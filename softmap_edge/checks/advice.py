@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.checks.collinear import collinear_conditions, tied_channels
-from softmap_edge.model.coverage import apart, said_apart
+from softmap_edge.model.coverage import apart, pairs_text
 from softmap_edge.noise.floor import commanded, noise_of_points
 from softmap_edge.noise.repeats import LONG_DWELL
 from softmap_edge.run.conditions import STILL, WARMING, Conditions, conditions, last_direction, orientations
@@ -250,7 +250,7 @@ def _channels(u: Floats) -> Iterator[Advice]:
         yield Advice("channels", True, f"one channel vs. another: all {len(alive)} move independently")
     far = far_from_home(reach_of(u))
     if len(alive) > 1 and not (tied or pairs or far.any()) and (never := apart(u)):
-        text = f"what channels do together: {said_apart(never)} are never far from home at once"
+        text = f"what channels do together: {pairs_text(never)} are never far from home at once"
         remedy = "move them together as well, to the corners of their ranges"
         yield Advice("together", False, text, remedy, float(min(len(never), 4)))
     counted = [c for c in alive if not far[c]]

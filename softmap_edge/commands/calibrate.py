@@ -10,7 +10,7 @@ from softmap_edge.calibration.found import Calibrated
 from softmap_edge.commands.output import bundle_arguments, check_bundle, check_file
 from softmap_edge.commands.own import effects_argument, load_own, open_model
 from softmap_edge.errors import CalibrationError, ReportError
-from softmap_edge.files.atomic import write_whole
+from softmap_edge.files.atomic import write_atomically
 from softmap_edge.model.bundle import save_bundle
 from softmap_edge.robot.drive.recorded import open_run
 
@@ -66,4 +66,4 @@ def _plot(found: Calibrated, path: str) -> None:
         raise ReportError(
             "--plot needs matplotlib: pip install 'softmap-edge[report]' (the text and --json work without it)"
         ) from None
-    write_whole(path, calibration_figure(found))
+    write_atomically(path, calibration_figure(found))

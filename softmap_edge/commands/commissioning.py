@@ -35,7 +35,7 @@ def deadman(held: bool) -> Iterator[Deadman]:
             yield keys
 
 
-def tell(args: argparse.Namespace, what: str, hand: Deadman) -> None:
+def announce(args: argparse.Namespace, what: str, hand: Deadman) -> None:
     """Say what will move, and how it is stopped."""
     if not args.json:
         print(f"{what}; {hand.how}", file=sys.stderr)

@@ -64,11 +64,11 @@ class Trial:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the document softmap.demo/1."""
-        share = self.fall if self.truth.secrets else None
+        share = self.fall if self.truth.hidden else None
         return {
             "schema": SCHEMA,
             "seed": self.truth.seed,
-            "hidden": [secret.to_dict() for secret in self.truth.secrets],
+            "hidden": [secret.to_dict() for secret in self.truth.hidden],
             "diagnosis": self.diagnosis.to_dict(),
             "before_mm": self.before_mm,
             "after_mm": self.after_mm,
@@ -201,13 +201,13 @@ def _table(story: Trial) -> str:
 def _reveal(story: Trial, files: dict[str, str], seconds: float) -> Sequence[str]:
     lines = ["", f"Held-out error {story.before_mm:.2f} → {story.after_mm:.2f} mm RMS (floor {story.floor_mm:.2f} mm:"]
     lines[-1] += f" {FLOOR_KIND})."
-    if story.truth.secrets and story.fall is not None:
+    if story.truth.hidden and story.fall is not None:
         lines.append(f"{100 * story.fall:.0f} % of the removable error is gone, on a run that was never fitted.")
     found = story.diagnosis.to_dict()["effects"]
     lines += [f"Found:  {effect['name']} ({_values(effect)})" for effect in found] or ["Found:  nothing"]
-    if not story.truth.secrets:
+    if not story.truth.hidden:
         lines.append("Hidden: nothing (another mesh, another modulus and camera noise only)")
-    for secret in story.truth.secrets:
+    for secret in story.truth.hidden:
         numbers = ", ".join(f"{key} {_plain(value)}" for key, value in secret.law.params().items() if key != "seed")
         lines.append(f"Hidden: {secret.name} ({numbers}); it moves the finger by {secret.displacement_mm:.1f} mm RMS")
     report = files.get("report")

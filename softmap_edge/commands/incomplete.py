@@ -14,7 +14,7 @@ from softmap_edge.errors import RecordingWarning, SessionWarning
 
 
 @contextlib.contextmanager
-def telling(verb: str) -> Iterator[set[str]]:
+def printing_warnings(verb: str) -> Iterator[set[str]]:
     """Print recording and session warnings as lines of the command `verb`; yield the set of recording warnings."""
     printed: set[str] = set()
     with warnings.catch_warnings():

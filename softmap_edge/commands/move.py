@@ -12,7 +12,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from softmap_edge.commands.commissioning import confirm, deadman, hold_argument, tell
+from softmap_edge.commands.commissioning import announce, confirm, deadman, hold_argument
 from softmap_edge.commands.output import to_stderr
 from softmap_edge.commands.own import effects_argument, load_own, open_model
 from softmap_edge.commands.robot import bench_of, driving, emulated
@@ -81,7 +81,7 @@ def move(args: argparse.Namespace) -> int:
         with deadman(args.hold and args.by is not None) as hand, Jog(rig, tell=to_stderr) as jog:
             begin = jog.position
             if args.by is not None:
-                tell(args, f"servo {args.servo} by {args.by:+.0f} ticks at {jog.slew:.0f} ticks/s", hand)
+                announce(args, f"servo {args.servo} by {args.by:+.0f} ticks at {jog.slew:.0f} ticks/s", hand)
                 jog.by(_numbered(rig, args.servo), args.by, hand)
             else:
                 print(HELP, file=sys.stderr)

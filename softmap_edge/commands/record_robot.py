@@ -18,7 +18,7 @@ from typing import Any
 from softmap_edge.commands.output import check_bundle, check_file, check_no_run, to_stderr
 from softmap_edge.commands.own import open_model
 from softmap_edge.commands.progress import Bar
-from softmap_edge.commands.robot import emulated, own_map, tell_edited
+from softmap_edge.commands.robot import announce_edited_limits, emulated, own_map
 from softmap_edge.commands.seeing import late, receiver
 from softmap_edge.errors import RecordingWarning, SoftmapError
 from softmap_edge.model.bundle import save_bundle
@@ -233,7 +233,7 @@ def _robot(args: argparse.Namespace, model: Model) -> Iterator[tuple[Bench, Seen
             assert bench.finger is not None
             yield bench, bench.finger.seen
         return
-    tell_edited(model)
+    announce_edited_limits(model)
     bench = read_bench(args.rig, model)
     with receiver(args, len(model.rest)) as camera:
         try:

@@ -25,7 +25,7 @@ from softmap_edge.robot.servo.loop_limits import RATE
 HOME = 2048.0
 
 
-def tell_edited(model: Model) -> None:
+def announce_edited_limits(model: Model) -> None:
     """Say that the limits of a finger are not those that its bundle was written with."""
     if model.safety is not None and model.safety.edited:
         to_stderr("safety.toml of the bundle was edited since that was written; `softmap servo limits` prints it")
@@ -92,7 +92,7 @@ def bench_of(args: argparse.Namespace, model: Model, *, person: bool = False) ->
         person: whether a person drives the robot.
     """
     if args.rig:
-        tell_edited(model)
+        announce_edited_limits(model)
         yield read_bench(args.rig, model)
         return
     with emulated(model, getattr(args, "hide", ""), getattr(args, "seed", None) or 0, person=person) as bench:

@@ -15,7 +15,7 @@ from softmap_edge.checks.summary import SCHEMA, sentences, summary
 from softmap_edge.commands.output import check_file, check_kept, check_no_run
 from softmap_edge.commands.own import effects_argument, load_own, open_model
 from softmap_edge.errors import RunError, SoftmapError, SweepError
-from softmap_edge.files.atomic import write_whole
+from softmap_edge.files.atomic import write_atomically
 from softmap_edge.files.npz import read_npz
 from softmap_edge.logs.importer import import_logs, read_mapping
 from softmap_edge.model.bundle import load_chain
@@ -87,7 +87,7 @@ def _guess(args: argparse.Namespace) -> int:
         check_kept(args.out, "a mapping", args.force)
     found = guess_mapping(args.logs)
     if args.out is not None:
-        write_whole(args.out, found.text)
+        write_atomically(args.out, found.text)
     if args.json:
         print(json.dumps(found.to_dict() | {"out": args.out}, ensure_ascii=False))
         return DONE

@@ -26,7 +26,7 @@ from softmap_edge.commands.robot import (
 from softmap_edge.commands.seeing import camera_arguments, late, receiver
 from softmap_edge.commands.track_table import table, workspace
 from softmap_edge.errors import RecordingBroken, SoftmapError
-from softmap_edge.files.atomic import write_whole
+from softmap_edge.files.atomic import write_atomically
 from softmap_edge.robot.control.controller import Controller
 from softmap_edge.robot.drive.observations import Keeper, keeping, seen_file
 from softmap_edge.robot.drive.track import Course, Tracked, course, spread
@@ -163,7 +163,7 @@ def _draw(path: str, kinematics: Kinematics, planned: Course, tracked: Tracked |
         from softmap_edge.report.track_figure import track_figure
     except ImportError:
         raise SoftmapError("--picture needs matplotlib: pip install 'softmap-edge[report]'") from None
-    write_whole(path, track_figure(kinematics, planned, tracked))
+    write_atomically(path, track_figure(kinematics, planned, tracked))
 
 
 def _document(
@@ -177,8 +177,8 @@ def _document(
         "amplitude_mm": args.amplitude,
         "axes": kinematics.axes,
         "method": args.method or "exact",
-        "effects": kinematics.undone,
-        "left": [name for name in kinematics.model.chain_names if name not in kinematics.undone],
+        "effects": kinematics.compensated,
+        "left": [name for name in kinematics.model.chain_names if name not in kinematics.compensated],
         "hidden": [name for name in args.hide.split(",") if name] if args.sim else None,
         "waypoints": int(counts.sum()),
         "asked_s": args.duration,

@@ -12,7 +12,7 @@ import numpy as np
 from softmap_edge.commands.own import open_model
 from softmap_edge.commands.progress import Bar
 from softmap_edge.errors import SoftmapError
-from softmap_edge.files.atomic import write_whole
+from softmap_edge.files.atomic import write_atomically
 from softmap_edge.model.model import Model
 from softmap_edge.robot.motion.figures import WIDEST
 from softmap_edge.robot.motion.kinematics import AXES, Kinematics
@@ -77,7 +77,9 @@ def workspace(args: argparse.Namespace, kinematics: Kinematics) -> int:
             from softmap_edge.report.track_figure import workspace_figure
         except ImportError:
             raise SoftmapError("--picture needs matplotlib: pip install 'softmap-edge[report]'") from None
-        write_whole(args.picture, workspace_figure(kinematics, rest, target, None if solved is None else solved.tip[0]))
+        write_atomically(
+            args.picture, workspace_figure(kinematics, rest, target, None if solved is None else solved.tip[0])
+        )
     print(json.dumps(document) if args.json else _text(document))
     return 0
 

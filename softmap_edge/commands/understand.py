@@ -14,7 +14,7 @@ from softmap_edge.commands.own import effects_argument, load_own, open_model
 from softmap_edge.commands.progress import Bar
 from softmap_edge.commands.seeing import camera_arguments
 from softmap_edge.errors import SoftmapError, no_name
-from softmap_edge.files.atomic import write_whole
+from softmap_edge.files.atomic import write_atomically
 from softmap_edge.model.user_effect import check_hashes
 from softmap_edge.robot.drive.recorded import open_run
 
@@ -222,7 +222,7 @@ def _refit_finger(args: argparse.Namespace) -> int:
         raise SoftmapError(f"{len(args.runs)} runs; a finger's own numbers are fitted to one")
     with Bar(args.json) as bar:
         found = fit_finger(Finger.load(args.finger), open_run(args.runs[0]), bar)
-    write_whole(args.out, found.finger.to_toml())
+    write_atomically(args.out, found.finger.to_toml())
     if args.json:
         print(json.dumps({**found.to_dict(), "out": str(args.out)}, indent=1))
     else:
@@ -319,4 +319,4 @@ def teller(args: argparse.Namespace) -> Callable[[str], None] | None:
 
 
 def _write_json(path: str, document: dict[str, Any]) -> None:
-    write_whole(path, json.dumps(document, indent=1) + "\n")
+    write_atomically(path, json.dumps(document, indent=1) + "\n")

@@ -147,7 +147,7 @@ def clean_record(
     parts = [clean_run(model, one) for one in given]
     several = reference if isinstance(reference, Sequence) else [] if reference is None else [reference]
     record = record_of(model, [p.run for p in parts], None, [clean_run(model, one).run for one in several] or None)
-    record.whole = tuple(without_lost(one)[0] for one in given)
+    record.recorded_runs = tuple(without_lost(one)[0] for one in given)
     record.doubts = tuple(dict.fromkeys(text for p in parts for text in p.doubts))
     told = [(f"run {i}: " if len(parts) > 1 else "") + text for i, p in enumerate(parts, 1) for text in p.remarks]
     return record, told

@@ -406,8 +406,10 @@ def _made_from(outcome: Outcome, order: Sequence[str], context: Context, registr
     record = problem.record
     return {
         "softmap": __version__,
-        "run": record.whole[0].hash() if len(record.whole) == 1 else [run.hash() for run in record.whole],
-        "held_out": None if other is None else other.whole[0].hash(),
+        "run": record.recorded_runs[0].hash()
+        if len(record.recorded_runs) == 1
+        else [run.hash() for run in record.recorded_runs],
+        "held_out": None if other is None else other.recorded_runs[0].hash(),
         "reference": None if record.replay is None else asdict(record.replay),
         "residual": None if context.masked is None else asdict(context.masked),
         "frames": len(record),
@@ -417,7 +419,7 @@ def _made_from(outcome: Outcome, order: Sequence[str], context: Context, registr
         "candidates": outcome.fits.candidates,
         "demoted": list(context.demoted),
         "noise": problem.noise.source,
-        "noise_of_points_mm": noise_of_runs(record.whole),
+        "noise_of_points_mm": noise_of_runs(record.recorded_runs),
         "inflation": problem.noise.inflation,
         "modes": len(problem.whitener.form),
         "references": {name: registry[name]["reference"] for name in order},

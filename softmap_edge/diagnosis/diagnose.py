@@ -99,7 +99,7 @@ def diagnose(
     record, remarks = clean_record(model, run, library, reference)
     registry = {e["name"]: e for e in record.library.effects()}
     candidates, impossible = candidates_of(record, registry, effects)
-    fixed = excluded(record.whole, record.bases, _reach(record), max(VISIBLE_MM, ORDINARY * motion_mm(record)))
+    fixed = excluded(record.recorded_runs, record.bases, _reach(record), max(VISIBLE_MM, ORDINARY * motion_mm(record)))
     candidates = [name for name in candidates if name not in fixed]
     remarks += [text for name, text in fixed.items() if effects is None or name in effects]
     teacher = TaughtRuns.by(model, list(run) if isinstance(run, Sequence) else [run])
@@ -125,7 +125,7 @@ def diagnose(
         gone = commands_not_followed(record, outcome.state.predicted if outcome.state.beside else fit.predicted)
     values = conclude(outcome, fit, context)
     if gone is None:
-        loaded = any(run.load is not None and np.any(run.load) for run in record.whole)
+        loaded = any(run.load is not None and np.any(run.load) for run in record.recorded_runs)
         if strange(plain(values), loaded):
             error, again = outcome.fits.held_out_mm(fit), partial(_again, model, candidates=candidates, library=library)
             gone = wrong_sign(record, error, again) or wrong_load(record, error, again)
@@ -141,7 +141,7 @@ def diagnose(
     remarks += [] if record.replay is None else [TWICE]
     remarks += [str(teacher)] if teacher.runs else []
     values["next"] = (*(teacher.next(values["effects"]) if record.remapped else ()), *values["next"])
-    whole = [converted(model, run) for run in record.whole]
+    whole = [converted(model, run) for run in record.recorded_runs]
     remarks += [] if library is not None else missing_data(whole, len(record), problem.noise.replicates)
     encoded = [run for run in whole if run.present is not None] if library is None else []
     behind = servos(encoded[0], [*candidates, *record.model.chain_names]) if encoded else []
@@ -343,7 +343,7 @@ def _own_misfit(record: Record) -> OwnMisfit | None:
     """Return what the effects that the model has already would reach with other numbers, if that is much."""
     if not record.model.chain_names:
         return None
-    report = refit(record.model, record.whole, record.library)[1]
+    report = refit(record.model, record.recorded_runs, record.library)[1]
     before, after = report["before_rms_mm"], report["after_held_out_rms_mm"]
     return OwnMisfit(tuple(record.model.chain_names), before, after) if after <= OWN_FALL * before else None
 

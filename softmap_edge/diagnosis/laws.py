@@ -129,7 +129,7 @@ def answered(state: State, fits: Fits, rough: Representative, before: Floats, pa
         laws += asked.for_each_channel(members)
     if pairs and not asked.any_reaches(laws):
         laws += asked.pairs(laws)
-    return asked.judged(laws)
+    return asked.answer_of(laws)
 
 
 def law_of(state: State, fits: Fits, effects: tuple[str, ...], before: Floats, split: Collection[str] = ()) -> Law:
@@ -241,7 +241,7 @@ class _Asked:
         explained = float(self.before.sum()) - self.representative.left
         return any(rule.reaches(law.loss, self.representative.loss, explained, self.form) for law in laws)
 
-    def judged(self, laws: list[Law]) -> Answer:
+    def answer_of(self, laws: list[Law]) -> Answer:
         """Say which law it is, given all that were tried."""
         best = min((self.representative.loss, *(law.loss for law in laws)), key=np.sum)
         explained = float(self.before.sum() - best.sum())

@@ -112,8 +112,8 @@ def _meet(record: Record, reference: Record) -> tuple[Replay, Floats, Floats]:
     base = _without(reference, absent)
     missed = _read(at, reference.t_seen, reference.seen - base)
     replay = Replay(
-        reference.whole[0].hash(), shift, differ, share, getattr(record.model, "command_unit", "mm"), int(met.sum()),
-        absent,
+        reference.recorded_runs[0].hash(), shift, differ, share, getattr(record.model, "command_unit", "mm"),
+        int(met.sum()), absent,
     )  # fmt: skip
     return replay, missed, _form_left(record, reference, missed)
 

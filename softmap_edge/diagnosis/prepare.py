@@ -51,7 +51,7 @@ def candidates_of(
         missing = record.missing(registry[name].get("needs", []))
         if record.model.channels == 0 and (registry[name]["role"] == "channel" or not record.layout((name,)).labels):
             impossible.append(Untestable(name, "nothing is commanded in this run", "a run with commands", 1.0))
-        elif needs_time(registry[name]) and any(run.timeless for run in record.whole):
+        elif needs_time(registry[name]) and any(run.timeless for run in record.recorded_runs):
             impossible.append(
                 Untestable(name, "the log has no time", "the same moves, the time of each row logged", 1.0)
             )

@@ -58,7 +58,7 @@ class Record:
             from softmap_edge import _core as library
         adapted = getattr(model, "residual", None) is not None
         self.model, self.library = model.with_residual(None) if adapted else model, library
-        self.whole: tuple[Run, ...] = (run,)
+        self.recorded_runs: tuple[Run, ...] = (run,)
         self.replay: Replay | None = None
         self.bases: tuple[BaseMotion | None, ...] = (base_of(model, converted(model, run), reference),)
         self._bind(run)
@@ -171,7 +171,7 @@ class Record:
     @cached_property
     def spool(self) -> Spool | None:
         """The radius of the spools, if it is known."""
-        return spool_of(self.model, self.whole)
+        return spool_of(self.model, self.recorded_runs)
 
     def layout(self, names: Sequence[str], split: Collection[str] = ()) -> Layout:
         """Return the parameters of a chain of `names`; effects in `split` have a number for each channel.

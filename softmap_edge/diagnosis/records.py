@@ -54,7 +54,7 @@ class Records(Record):
         met = list(dict.fromkeys(str(r.run) for r in replays))
         if self.replay is not None and len(met) > 1:
             self.replay = replace(self.replay, run=met)
-        self.whole = tuple(runs)
+        self.recorded_runs = tuple(runs)
         self.bases = tuple(part.bases[0] for part in parts)
         self._join(parts)
 

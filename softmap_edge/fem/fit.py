@@ -113,7 +113,7 @@ class FingerFit:
                 f"  the camera's frame is taken as it is: {self.dwells} dwells do not distinguish it from the finger"
             )
         if self.finger_fitted_mm is None:
-            return "\n".join([*lines, "no dwell was left to judge by: predict another run with the fitted finger"])
+            return "\n".join([*lines, "no dwell was left for validation: predict another run with the fitted finger"])
         lines.append(
             f"error on dwells kept out: {self.as_it_was_mm:.2f} mm as it was, {self.frame_fitted_mm:.2f} with the "
             f"frame fitted, {self.finger_fitted_mm:.2f} mm with the finger fitted"

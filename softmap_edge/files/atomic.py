@@ -13,14 +13,14 @@ from softmap_edge.errors import SoftmapError
 MOST_TEXT = 64 << 20  # bytes of a document
 
 
-def write_whole(path: str | Path, content: str | bytes) -> None:
+def write_atomically(path: str | Path, content: str | bytes) -> None:
     """Write text (UTF-8; what has no such form as `?`) or bytes to `path`, replacing it only when complete."""
-    with beside(Path(path)) as partial:
+    with replacement_of(Path(path)) as partial:
         partial.write_bytes(content if isinstance(content, bytes) else content.encode("utf-8", "replace"))
 
 
 @contextmanager
-def beside(file: Path) -> Iterator[Path]:
+def replacement_of(file: Path) -> Iterator[Path]:
     """Give a new file beside `file` to write into, which takes its place once that is done, and is gone if it fails."""
     try:
         descriptor, name = tempfile.mkstemp(prefix=f".{file.name}.", dir=file.parent)

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.errors import SoftmapError, brief
-from softmap_edge.files.atomic import beside
+from softmap_edge.files.atomic import replacement_of
 
 MAX_BYTES = 4 << 30
 MOST_ARRAYS = 1000
@@ -30,7 +30,10 @@ def write_npz(path: Path, arrays: Mapping[str, NDArray[np.generic]]) -> None:
 
     Tables of whole numbers go column after column: what `packed` made is smooth down a column and a fifth smaller so.
     """
-    with beside(path) as partial, zipfile.ZipFile(partial, "w", zipfile.ZIP_DEFLATED, compresslevel=9) as archive:
+    with (
+        replacement_of(path) as partial,
+        zipfile.ZipFile(partial, "w", zipfile.ZIP_DEFLATED, compresslevel=9) as archive,
+    ):
         for name in sorted(arrays):
             buffer = io.BytesIO()
             order: Literal["F", "C"] = "F" if np.asarray(arrays[name]).dtype.kind == "i" else "C"

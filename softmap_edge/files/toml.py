@@ -46,7 +46,7 @@ class TomlTable:
             raise RunError(f"{self.where}: {key} = {shown(value)}, expected {low:g} to {high:g}")
         return float(value)
 
-    def whole(self, key: str, default: int | None, low: int, high: int) -> int | None:
+    def integer(self, key: str, default: int | None, low: int, high: int) -> int | None:
         """Return a whole number within limits."""
         value = self.get(key, (int,), default)
         if value is not None and not low <= value <= high:

@@ -117,7 +117,7 @@ def _never_together(u: Floats, v: Floats) -> bool:
     return bool((((asked @ root) ** 2).sum(axis=1) > LARGER * most).all())
 
 
-def said_apart(pairs: list[tuple[int, int]]) -> str:
+def pairs_text(pairs: list[tuple[int, int]]) -> str:
     """Return pairs of channels as text for a sentence."""
     named = ", ".join(f"{i} and {j}" for i, j in pairs[:MOST_PAIRS])
     return named + (f" and {len(pairs) - MOST_PAIRS} more pairs" if len(pairs) > MOST_PAIRS else "")

@@ -298,7 +298,7 @@ class Coordinates:
         scale = np.where(self.log, self.numbers(x), 1.0)
         return np.asarray((by_number * scale) @ self.spread)
 
-    def told(self, x: Floats, sigma: Floats) -> list[tuple[float, float, str]]:
+    def fitted_numbers(self, x: Floats, sigma: Floats) -> list[tuple[float, float, str]]:
         """Return value, one standard deviation and unit of each free number, as a robot's file has them.
 
         A number that moves several which start apart is told as the factor, or the angle or mm, by which it moves them.

@@ -75,11 +75,11 @@ def read_network(
                 f"{file.name}: {fault}. If you trust this file, --trust-onnx (in Python: load_bundle(path, "
                 "trust_onnx=True)) lets onnxruntime run it, in a child process with limits"
             ) from None
-        return elsewhere(file.name, content, command_range, prior, str(fault))
+        return table_from_onnxruntime(file.name, content, command_range, prior, str(fault))
     if network.channels != len(command_range):
         raise BundleError(f"{file.name}: {network.channels} commands, the bundle has {len(command_range)}")
     commands = _some(command_range)
-    apart = float(np.abs(run_elsewhere(content, commands) - network.evaluate(commands)).max())
+    apart = float(np.abs(run_onnxruntime(content, commands) - network.evaluate(commands)).max())
     if not apart < AGREE_MM:
         raise BundleError(
             f"{file.name}: onnxruntime and the core differ by {apart:.2g} mm, allowed is {AGREE_MM:g}; export it again"
@@ -87,7 +87,7 @@ def read_network(
     return {"onnx": np.frombuffer(content, np.uint8)}, None
 
 
-def elsewhere(
+def table_from_onnxruntime(
     name: str, content: bytes, command_range: Floats, prior: Mapping[str, Any], why: str
 ) -> tuple[Arrays, dict[str, Any]]:
     """Return the arrays of a table of a graph that only onnxruntime runs, and a description of it.
@@ -113,7 +113,7 @@ def elsewhere(
         if (count := np.prod([len(axis) for axis in axes], dtype=object)) > MOST_NODES:
             raise BundleError(f"its axes in prior.npz make a table of {count} nodes, at most {MOST_NODES} are asked")
         some, nodes = _some(command_range), _grid(axes)
-        both = in_child(run_elsewhere, content, np.concatenate([nodes, some]), megabytes=CHILD_MB, seconds=CHILD_S)
+        both = in_child(run_onnxruntime, content, np.concatenate([nodes, some]), megabytes=CHILD_MB, seconds=CHILD_S)
         values, target = both[: len(nodes)], both[len(nodes) :]
     except BundleError as fault:
         raise BundleError(f"{name}: {why}. Nor by onnxruntime: {fault}") from None
@@ -156,7 +156,7 @@ def _grid(axes: Sequence[Floats]) -> Floats:
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(axes))
 
 
-def run_elsewhere(content: bytes, commands: Floats) -> Floats:
+def run_onnxruntime(content: bytes, commands: Floats) -> Floats:
     """Return what onnxruntime gives (n, M) for an ONNX file's `content` at commands (n, C).
 
     Raises:

@@ -194,8 +194,8 @@ def _needed_pair(table: TomlTable, key: str, most: float) -> tuple[float, float]
     value = table.numbers(key, (2,))
     if value is None or not 0.0 <= value[0] <= value[1] <= most * (1 + 1e-5):
         raise BundleError(
-            f"{table.where}: {key} is {None if value is None else value.tolist()}; allowed are two numbers, 0 ≤ told ≤ "
-            f"refused ≤ {most:g}"
+            f"{table.where}: {key} is {None if value is None else value.tolist()}; allowed are two numbers, 0 ≤ "
+            f"warned ≤ refused ≤ {most:g}"
         )
     return float(value[0]), float(value[1])
 

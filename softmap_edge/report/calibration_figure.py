@@ -50,7 +50,7 @@ def _plane(axes: Axes, found: Calibrated) -> None:
         axes.plot(held.ticks[:, 0], held.u[:, 0], "o", color=INK, markersize=3.5)
         axes.set(xlabel="servo 0, ticks", ylabel=f"command 0, {unit}")
         return
-    u, at, told = held.u[:, :2], mapped[:, :2], held.told[:, :2]
+    u, at, told = held.u[:, :2], mapped[:, :2], held.observed[:, :2]
     step = np.where(told, u - at, 0.0)
     length = np.linalg.norm(step[good], axis=1)
     usual = float(np.quantile(length, 0.95)) if len(length) else 0.0

@@ -29,7 +29,7 @@ from softmap_edge.diagnosis.text import (
     parameter,
 )
 from softmap_edge.errors import ReportError
-from softmap_edge.files.atomic import write_whole
+from softmap_edge.files.atomic import write_atomically
 from softmap_edge.files.numbers import fall, mm, number, percent, tamed
 from softmap_edge.report.families import family_section, learned_section
 from softmap_edge.report.html_open import open_questions
@@ -125,7 +125,7 @@ def write_html(
     ]
     page = PAGE.replace("@TITLE@", escaped(_title(story))).replace("@BODY@", "\n".join(s for s in sections if s))
     target = Path(path)
-    write_whole(target, page)
+    write_atomically(target, page)
     return target
 
 

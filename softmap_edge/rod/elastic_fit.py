@@ -50,7 +50,7 @@ def fit_elastic(seen: ReferenceFrames, robot: Robot, parts: Folds, seed: int, st
     least, free = min(len(train) for train, _ in parts) * seen.markers[0].size, len(robot.coordinates().labels)
     if least < 2 * free:
         raise RunError(
-            f"beside one of the {len(parts)} parts that are held out in turn {least} coordinates are left to fit "
+            f"without one of the {len(parts)} parts that are held out in turn {least} coordinates are left to fit "
             f"{free} numbers from; record longer, label longer moves as one `block`, or make more of them known"
         )
     start, u = robot.start.copy(), seen.drive.commanded
@@ -188,7 +188,7 @@ def numbers(data: Data, x: Floats, refits: Floats) -> tuple[FittedNumber, ...]:
     folds = len(refits)
     jackknife = np.sqrt((folds - 1.0) / folds * ((refits - refits.mean(axis=0)) ** 2).sum(axis=0))
     sigma = np.maximum(spread, jackknife)
-    told = space.told(x, np.minimum(sigma, 1e3))
+    told = space.fitted_numbers(x, np.minimum(sigma, 1e3))
     at_bound = (x <= space.low + 1e-9) | (x >= space.high - 1e-9)
     found = []
     for i, (value, deviation, unit) in enumerate(told):

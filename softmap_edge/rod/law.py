@@ -183,7 +183,7 @@ class LawFit:
             idle[i] = np.all(change.max(axis=0) <= IDLE * self.drive.half)
         return idle
 
-    def told(self, fitted: FittedLaw) -> dict[str, LearnedNumber]:
+    def fitted_numbers(self, fitted: FittedLaw) -> dict[str, LearnedNumber]:
         """Return the free numbers with their uncertainty, by label."""
         law, x = fitted.law, fitted.x
         residual, slopes = self._term(law, None)(x, True)

@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 from softmap_edge.alignment.base_motion import kept_places
 from softmap_edge.checks.lost_points import without_lost
 from softmap_edge.errors import RunError, SoftmapError
-from softmap_edge.model.coverage import Coverage, apart, said_apart
+from softmap_edge.model.coverage import Coverage, apart, pairs_text
 from softmap_edge.model.learned_in import LearnedIn
 from softmap_edge.model.model import NOMINAL, Model
 from softmap_edge.model.safety import derived
@@ -248,7 +248,7 @@ def _apart(commands: Floats) -> list[str]:
     if not pairs:
         return []
     return [
-        f"commands {said_apart([(i + 1, j + 1) for i, j in pairs])} are never far from home at once: what they do "
+        f"commands {pairs_text([(i + 1, j + 1) for i, j in pairs])} are never far from home at once: what they do "
         "together is extrapolated (by leverage), and `softmap compare` reports such frames; record them together too"
     ]
 

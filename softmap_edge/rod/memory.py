@@ -386,7 +386,7 @@ class _Search:
 
     def _memory(self, found: Sequence[_Found], noise: float) -> Memory:
         last = found[-1].fitted
-        numbers = self.fit.told(last)
+        numbers = self.fit.fitted_numbers(last)
         unexplained, above = (
             float(losses.sum()) - self.frames * self.floor for losses in (last.losses, found[0].before)
         )
@@ -420,7 +420,7 @@ def refined_memory(memory: Memory, seen: ReferenceFrames, static: StaticMap, see
     each = sorted({label.split(".")[0] for one in memory.learned_in for label in _labels(one) if "[" in label})
     again, fit = law(memory.names, seen.drive, each), LawFit(seen.drive, static, seed, seen.unit)
     fitted = fit.refined(again, again.at(memory.params)[None])
-    numbers = fit.told(fitted)
+    numbers = fit.fitted_numbers(fitted)
     records = tuple(
         replace(one, params=tuple(numbers[label] for label in _labels(one) if label in numbers))
         for one in memory.learned_in

@@ -96,7 +96,7 @@ def _robot(top: TomlTable) -> Robot:
     if not 1 <= len(name) <= 100 or not name.isprintable():
         raise RobotError(f"{top.where}: name of {len(name)} characters, expected 1 to 100 that can be printed")
     body, tendons, fit = (top.table(key) for key in ("body", "tendons", "fit"))
-    segments = body.whole("segments", None, 1, 32)
+    segments = body.integer("segments", None, 1, 32)
     if segments is None:
         raise RobotError(f"{body.where}: segments is missing; say how many parts bend, each evenly")
     ends = _whole(tendons, "segment", None, segments)

@@ -1,14 +1,16 @@
-"""Hidden truths: a second finger with secrets, measured by a noisy camera. For the demo and all hidden-effect tests.
+"""Hidden truths: a second finger with hidden effects, measured by a noisy camera.
+
+For the demo and all hidden-effect tests.
 
 **This module never calls the effect library**, nor the linear fields, nor a model's prior. The body is solved by the
-finite elements on another mesh with a modulus up to 10 % off; weights are solved there too; all other secrets are the
+finite elements on another mesh with a modulus up to 10 % off; weights are solved there too; all other effects are the
 separately written laws of `robot/emulated/laws.py`. What is seen are the template's material points, embedded in that
 solid.
 
     command ─laws─> u ─finite elements (own mesh, modulus, true weights)─> points ─mount─> ─camera noise─> run
 
 Every frame is solved: tendons that change between slack and taut put kinks into the shapes, which no table of a sweep
-holds (one of 15 × 15 commands was 0.8 mm off beside them). Only the search for the strength of a secret interpolates.
+holds (one of 15 × 15 commands was 0.8 mm off next to them). Only the search for the strength of an effect interpolates.
 It is scaled until the section centroids move by a drawn 1.2-3.6 mm RMS on the standard protocol.
 Units: mm, s, N, g. Randomness only from the seeds; the same arguments give the same numbers.
 """
@@ -40,10 +42,10 @@ Body = Callable[[Finger, float, Vector, Vector, Floats], Floats]
 
 BATCHES = (0.9, 0.95, 1.05, 1.1)  # modulus of the second finger against the first: its batch of silicone, by seed
 LAYERS = 0.75  # of the first finger's layers: another mesh along the body, where it bends
-STEPS = 9  # commands a channel of the sweep that finds the strength of a secret,
+STEPS = 9  # commands a channel of the sweep that finds the strength of an effect,
 WEIGHT_STEPS = 5  # and of one that needs a sweep of its own for it
 WATCH: ContextVar[Callable[[float], None] | None] = ContextVar("WATCH", default=None)  # hears the share of each solve
-EVERY = 3  # every third frame tells how far a secret moves the finger
+EVERY = 3  # every third frame shows how far an effect moves the finger
 REACH = 18.0  # mm: no farther command may reach the body
 TARGET = (1.2, 3.6)  # mm RMS of the section centroids, drawn; what is accepted lies in 1-4 mm
 
@@ -75,7 +77,7 @@ class Camera:
 
 
 @dataclass(frozen=True)
-class Secret:
+class HiddenEffect:
     """One hidden effect: the name the library has for it, its own law, and how far it moves the finger (RMS mm)."""
 
     law: Law
@@ -93,10 +95,10 @@ class Secret:
 
 @dataclass(frozen=True)
 class Truth:
-    """A second finger: its batch of silicone (by `seed`), its secrets in the order in which they act, and the first."""
+    """A second finger: its batch of silicone (by `seed`), its hidden effects in the order in which they act."""
 
     seed: int
-    secrets: tuple[Secret, ...] = ()
+    hidden: tuple[HiddenEffect, ...] = ()
     camera: Camera = field(default_factory=Camera)
     finger: Finger = field(default_factory=Finger.builtin)
 
@@ -106,14 +108,14 @@ class Truth:
         return BATCHES[self.seed % len(BATCHES)]
 
     def twin(self) -> Truth:
-        """Return the same finger without its secrets: the floor of every error."""
+        """Return the same finger without its hidden effects: the floor of every error."""
         return Truth(self.seed, (), self.camera, self.finger)
 
     def to_body(self, protocol: Protocol) -> Floats:
         """Return the command (K, C) mm that reaches the body at the seen times."""
         u = protocol.command
-        for secret in self.secrets:
-            u = secret.law.command(protocol.t, u)
+        for effect in self.hidden:
+            u = effect.law.command(protocol.t, u)
         return np.stack([np.interp(protocol.t_seen, protocol.t, u[:, c]) for c in range(u.shape[1])], axis=1)
 
     def shapes(self, protocol: Protocol, every: int = 1) -> Floats:
@@ -132,8 +134,8 @@ class Truth:
             wanted = frames[frames % every == 0]
             points[wanted] = body(self.finger, self.modulus, gravity, force, u[wanted])
         points = points[::every]
-        for secret in self.secrets:
-            points = secret.law.seen(points)
+        for effect in self.hidden:
+            points = effect.law.seen(points)
         return points
 
     def measure(self, protocol: Protocol, seed: int = 0) -> Run:
@@ -161,8 +163,8 @@ class Truth:
         for row in np.unique(declared, axis=0):
             direction = row[:3]
             gravity, force = direction, row[3] * NEWTON_PER_GRAM * direction
-            for secret in self.secrets:
-                gravity, force = secret.law.gravity(gravity), force + secret.law.force(direction)
+            for effect in self.hidden:
+                gravity, force = effect.law.gravity(gravity), force + effect.law.force(direction)
             parts.append((np.flatnonzero((declared == row).all(axis=1)), _vector(gravity), _vector(force)))
         return parts
 
@@ -172,13 +174,13 @@ def hide(names: Sequence[str], seed: int, camera: Camera | None = None, finger: 
 
     Args: `names` out of `LAWS` (none: nothing is hidden) and `NAMED`; `seed` ≥ 0 draws batch, characters and strengths;
     `finger` is the first one, usually the built-in.
-    Returns the truth; each secret of `LAWS` alone moves the section centroids by 1-4 mm RMS on the standard protocol.
+    Returns the truth; each effect of `LAWS` alone moves the section centroids by 1-4 mm RMS on the standard protocol.
     Raises SoftmapError for an unknown or repeated name.
     """
     check_hidden(names, seed)
     plain = Truth(seed, (), camera or Camera(), finger or _builtin())
     named = [_named(name, plain) for name in NAMED if name in names]
-    return replace(plain, secrets=(*named, *(_drawn(name, plain) for name in LAWS if name in names)))
+    return replace(plain, hidden=(*named, *(_drawn(name, plain) for name in LAWS if name in names)))
 
 
 def surprise(seed: int) -> list[str]:
@@ -199,16 +201,16 @@ def centroids(points: Floats, finger: Finger | None = None) -> Floats:
     return np.stack([points[:, section == s].mean(axis=1) for s in range(SECTIONS)], axis=1)
 
 
-def _named(name: str, plain: Truth) -> Secret:
+def _named(name: str, plain: Truth) -> HiddenEffect:
     """Take a law as it is; how far it moves the finger is what it does in a sweep of the plain one."""
     protocol = standard_protocol(len(plain.finger.pairs))
     law = NAMED[name].draw(np.random.default_rng(plain.seed), len(plain.finger.pairs))
-    both = (replace(plain, secrets=secrets).rough(protocol, STEPS) for secrets in ((), (Secret(law, 0.0),)))
+    both = (replace(plain, hidden=hidden).rough(protocol, STEPS) for hidden in ((), (HiddenEffect(law, 0.0),)))
     before, after = (centroids(points, plain.finger) for points in both)
-    return Secret(law, _rms(after - before))
+    return HiddenEffect(law, _rms(after - before))
 
 
-def _drawn(name: str, plain: Truth) -> Secret:
+def _drawn(name: str, plain: Truth) -> HiddenEffect:
     """Draw a law and scale it until it moves the section centroids of a finger by the drawn target."""
     seed, channels = plain.seed, len(plain.finger.pairs)
     rng = np.random.default_rng([seed, list(LAWS).index(name)])
@@ -218,7 +220,7 @@ def _drawn(name: str, plain: Truth) -> Secret:
     is_weight = name in ("gravity", "payload")
 
     def there(strength: float) -> Truth:
-        return replace(plain, secrets=(Secret(law.scaled(strength), 0.0),))
+        return replace(plain, hidden=(HiddenEffect(law.scaled(strength), 0.0),))
 
     def apart(one: Floats, other: Floats) -> float:
         return _rms(centroids(one, plain.finger) - centroids(other, plain.finger))
@@ -237,7 +239,7 @@ def _drawn(name: str, plain: Truth) -> Secret:
             f"'{name}' with seed {seed} moves the finger by {distance:.2f} mm RMS at {strength:.2f} of its usual "
             "strength, outside 1-4 mm; take another seed"
         )
-    return Secret(law.scaled(strength), distance)
+    return HiddenEffect(law.scaled(strength), distance)
 
 
 def _rms(difference: Floats) -> float:

@@ -34,7 +34,7 @@ from softmap_edge.robot.emulated.published_map import PUBLISHED, ServoMap
 from softmap_edge.run.protocol import Protocol
 from softmap_edge.run.run import Run
 from softmap_edge.synthetic.depth_camera import TWO, DepthCameras
-from softmap_edge.synthetic.finger import Secret, Truth, Vector, different, hide, toured
+from softmap_edge.synthetic.finger import HiddenEffect, Truth, Vector, different, hide, toured
 
 Floats = NDArray[np.float64]
 Arrays = dict[str, NDArray[Any]]
@@ -68,7 +68,7 @@ class VirtualFinger:
     lean_deg: tuple[float, float]
     declared_deg: tuple[float, float]
     friction: Law | None
-    hidden: tuple[Secret, ...] = ()
+    hidden: tuple[HiddenEffect, ...] = ()
     cameras: DepthCameras = CAMERAS
     servos: ServoMap = PUBLISHED
 
@@ -94,11 +94,11 @@ class VirtualFinger:
     @property
     def truth(self) -> Truth:
         """What acts on the command, the weight and the picture, in its order."""
-        lean = Secret(TrueWeight(0.0, self.lean_deg), 0.0)
-        own = (lean,) if self.friction is None else (Secret(self.friction, 0.0), lean)
+        lean = HiddenEffect(TrueWeight(0.0, self.lean_deg), 0.0)
+        own = (lean,) if self.friction is None else (HiddenEffect(self.friction, 0.0), lean)
         order = [*NAMED, *LAWS]
-        secrets = sorted((*self.hidden, *own), key=lambda secret: order.index(secret.name))
-        return Truth(self.seed, tuple(secrets), finger=self.finger)
+        hidden = sorted((*self.hidden, *own), key=lambda effect: order.index(effect.name))
+        return Truth(self.seed, tuple(hidden), finger=self.finger)
 
     def shapes(self, protocol: Protocol) -> Floats:
         """Return the true points (K, N, 3) mm of the template at each frame; commands as they are, in mm."""
@@ -139,12 +139,12 @@ class VirtualFinger:
             extra={"made_by": np.array(MADE_BY)},
         )
         gravity = protocol.gravity[row]
-        for secret in self.truth.secrets:
-            gravity = np.array([secret.law.gravity(g) for g in gravity]).reshape(-1, 3)
+        for effect in self.truth.hidden:
+            gravity = np.array([effect.law.gravity(g) for g in gravity]).reshape(-1, 3)
         truth: Arrays = {
             "schema": np.array(SCHEMA),
             "vertices": vertices,
-            "command": replace(self.truth, secrets=()).to_body(turned),
+            "command": replace(self.truth, hidden=()).to_body(turned),
             "acting": self.truth.to_body(turned),
             "gravity": gravity,
             "t_seen": protocol.t_seen,
@@ -164,7 +164,7 @@ class VirtualFinger:
             "lean_deg": list(self.lean_deg),
             "declared_deg": list(self.declared_deg),
             "friction": None if self.friction is None else self.friction.params(),
-            "hidden": [secret.to_dict() for secret in self.hidden],
+            "hidden": [effect.to_dict() for effect in self.hidden],
         }
 
 
@@ -197,7 +197,7 @@ def virtual_finger(
         lean_deg=(float(lean[0]), float(lean[1])),
         declared_deg=(float(declared[0]), float(declared[1])),
         friction=BoucWen.draw(rng, channels).scaled(FRICTION),
-        hidden=hide(hidden, seed, finger=finger).secrets if hidden else (),
+        hidden=hide(hidden, seed, finger=finger).hidden if hidden else (),
         cameras=cameras,
     )
 

@@ -20,7 +20,7 @@ from softmap_edge.errors import BundleError, SoftmapError
 from softmap_edge.experiment.blocks import chosen, plan
 from softmap_edge.rod.robot import Robot
 from softmap_edge.run.protocol import Limits
-from softmap_edge.synthetic.finger import Secret, Truth
+from softmap_edge.synthetic.finger import HiddenEffect, Truth
 
 MODEL = builtin_model()
 PAGE = (Path(__file__).parents[2] / "docs/residual.md").read_text(encoding="utf-8")
@@ -213,7 +213,7 @@ def test_where_the_run_is_too_poor_to_tell_it_says_what_it_may_be(adapted):
 
 def of_another_finger(hidden):
     """A run of one orientation, solved by finite elements on another mesh, in another batch of silicone."""
-    truth = Truth(4, (Secret(SECRETS[hidden], 0.0),))
+    truth = Truth(4, (HiddenEffect(SECRETS[hidden], 0.0),))
     return truth.measure(plan(chosen(FIRST), Limits.of(MODEL.command_range)))
 
 

@@ -38,9 +38,9 @@ def test_refined_matches_are_ten_times_nearer_than_those_of_the_grid_and_what_ha
     run = shapes(u)
     fine, grid = match(MODEL, run), match(MODEL, run, refine=False)
     off = np.abs(fine.command - u)
-    assert np.sqrt(np.mean(off[fine.told] ** 2)) < 0.05
-    assert np.sqrt(np.mean((grid.command - u)[grid.told] ** 2)) > 0.2
-    assert 0.05 < 1.0 - fine.told.mean() < 0.3 and off[~fine.told].max() > 1.0  # both tendons of a pair slack
+    assert np.sqrt(np.mean(off[fine.observed] ** 2)) < 0.05
+    assert np.sqrt(np.mean((grid.command - u)[grid.observed] ** 2)) > 0.2
+    assert 0.05 < 1.0 - fine.observed.mean() < 0.3 and off[~fine.observed].max() > 1.0  # both tendons of a pair slack
     spread = np.einsum("kc,kcd,kd->k", fine.command - u, np.linalg.inv(fine.covariance), fine.command - u)
     assert 0.5 < np.median(spread) / 1.386 < 2.0  # the median of chi² of two
 
@@ -59,7 +59,7 @@ def test_what_only_roll_tells_does_not_move_a_match_that_is_seen_from_one_side()
     side = np.tile(MODEL.rest[:, 0] > -1.0, (20, 1))
     run = Run(t=t, command=u, t_seen=t, vertices=turned, visible=side, extra={ROLL_SEEN: np.array(False)})
     blind, fooled = match(MODEL, run), match(MODEL, replace(run, extra={}))
-    errors = [np.sqrt(np.mean((m.command - u)[blind.told & fooled.told] ** 2)) for m in (blind, fooled)]
+    errors = [np.sqrt(np.mean((m.command - u)[blind.observed & fooled.observed] ** 2)) for m in (blind, fooled)]
     assert errors[0] < 0.02 and errors[1] > 0.08, errors
 
 
@@ -227,6 +227,6 @@ def test_a_lean_that_is_declared_is_in_the_shapes_that_are_matched():
     run = replace(plain, vertices=np.asarray(model.predict(plain)))
     upright = replace(run, gravity=np.asarray(model.gravity_reference))
     found = [match(model, one) for one in (run, upright)]
-    off = [np.median(np.abs(one.command - commands)[one.told]) for one in found]
+    off = [np.median(np.abs(one.command - commands)[one.observed]) for one in found]
     assert found[0].mae_mm.max() < 0.05 < 0.1 < found[1].mae_mm.min()
     assert off[0] < 0.05 < 0.3 < off[1], off

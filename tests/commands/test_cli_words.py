@@ -13,11 +13,11 @@ from pathlib import Path
 import pytest
 from learned_ticks import arm
 
-from softmap_edge.cli import main, parser_of, verbs_here
+from softmap_edge.cli import commands_here, main, parser_of
 from softmap_edge.commands.parser import parsers_below
 from softmap_edge.commands.pipe import outliving
 
-VERBS = {verb.name: verb for verb in verbs_here()}
+VERBS = {verb.name: verb for verb in commands_here()}
 
 
 @pytest.mark.parametrize(

@@ -53,7 +53,7 @@ def test_a_law_is_named_and_twist_is_not_testable(registered):
     assert document["verdict"] == "identified"
     assert [effect["name"] for effect in document["effects"]] == ["backlash"]
     gap = document["effects"][0]["params"]["backlash.gap"]["value"]
-    assert gap == pytest.approx(2.0 * np.mean(truth.secrets[0].law.half_width_mm), rel=0.05)
+    assert gap == pytest.approx(2.0 * np.mean(truth.hidden[0].law.half_width_mm), rel=0.05)
     first, last = (document["error"]["ladder"][-1]["value"], document["error"]["model"])
     assert first < 0.15 * last
     why = {one["name"]: one["why"] for one in document["not_testable"]}

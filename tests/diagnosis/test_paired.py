@@ -16,7 +16,7 @@ from softmap_edge.diagnosis.records import Records
 from softmap_edge.errors import SoftmapError
 from softmap_edge.robot.emulated.laws import LAWS, TipWeight
 from softmap_edge.run.protocol import standard_protocol
-from softmap_edge.synthetic.finger import Secret, Truth
+from softmap_edge.synthetic.finger import HiddenEffect, Truth
 
 MODEL = builtin_model()
 WANTED = ["offset", "gain", "latency", "backlash", "hysteresis", "creep", "gravity", "payload", "mount"]
@@ -32,7 +32,10 @@ def test_what_acts_in_both_runs_cancels_out_and_the_payload_of_one_is_named_alon
     whole = standard_protocol(2)
     shown = replace(whole, t_seen=whole.t_seen[::2], block=whole.block[::2])
     memory = LAWS["hysteresis"].draw(np.random.default_rng(3), 2)
-    bare, heavy = Truth(4, (Secret(memory, 0.0),)), Truth(4, (Secret(memory, 0.0), Secret(TipWeight(14.0), 0.0)))
+    bare, heavy = (
+        Truth(4, (HiddenEffect(memory, 0.0),)),
+        Truth(4, (HiddenEffect(memory, 0.0), HiddenEffect(TipWeight(14.0), 0.0))),
+    )
     reference, run = bare.measure(shown), heavy.measure(shown, seed=1)
     alone, paired = diagnose(MODEL, run, effects=WANTED), diagnose(MODEL, run, effects=WANTED, reference=reference)
     assert set(names(alone)) == {"hysteresis", "payload"}
@@ -87,7 +90,7 @@ def test_a_late_start_is_found_and_frames_need_not_meet():
     half = replace(free.at(np.arange(free.frames) < 0.8 * free.frames), block=None)
     early = Record(MODEL, run, None, half)
     assert 0.7 * run.frames < len(early) <= 0.8 * run.frames + 1 and np.isfinite(early.seen).all()
-    assert early.whole == (run,)
+    assert early.recorded_runs == (run,)
     both = Records(MODEL, [run, run], None, free)
     assert len(both) == 2 * run.frames and both.replay.frames == run.frames
 

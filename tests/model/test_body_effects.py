@@ -144,7 +144,7 @@ def test_bundles_keep_it_and_plans_say_that_they_do_not_compensate_it(tmp_path):
     run = moves()
     assert read.params == model.params
     np.testing.assert_array_equal(read.predict(run), model.predict(run))
-    assert Kinematics(read).undone == ["backlash"]
+    assert Kinematics(read).compensated == ["backlash"]
     bare = MODEL.with_effects(["backlash"], {"backlash.gap": 0.5})
     np.testing.assert_array_equal(read.tip(np.array([[5.0, 2.0]])), bare.tip(np.array([[5.0, 2.0]])))
 

@@ -110,7 +110,7 @@ def test_what_cannot_be_undone_is_expected_of_the_plan(model, names, params, lea
     slow = model.with_effects(names, params)
     targets = circle(model)
     kinematics = Kinematics(slow, axes="xy")
-    assert kinematics.undone == [name for name in names if name != "rate_limit"]
+    assert kinematics.compensated == [name for name in names if name != "rate_limit"]
     plan = kinematics.plan(targets, T)
     found = executed(slow, plan.commands)  # as if it had rested at the first command: forgotten after seconds
     off = np.linalg.norm((found - targets)[200:, :2], axis=1)

@@ -18,7 +18,7 @@ from torch import nn  # noqa: E402
 from softmap_edge import _core, builtin_model, load_bundle, save_bundle  # noqa: E402
 from softmap_edge.cli import main  # noqa: E402
 from softmap_edge.errors import BundleError  # noqa: E402
-from softmap_edge.model.onnx import run_elsewhere  # noqa: E402
+from softmap_edge.model.onnx import run_onnxruntime  # noqa: E402
 from softmap_edge.robot.motion.kinematics import Kinematics  # noqa: E402
 
 torch.set_num_threads(1)
@@ -86,7 +86,7 @@ def drawn(network, u, x):
 
 def parity(content, u):
     """Return the largest difference in mm between the core and onnxruntime, one at a time and together."""
-    core, wanted = _core.Network(content), run_elsewhere(content, u)
+    core, wanted = _core.Network(content), run_onnxruntime(content, u)
     together = np.asarray(core.evaluate(u))
     alone = np.concatenate([np.asarray(core.evaluate(row[None])) for row in u])
     np.testing.assert_array_equal(together, alone)
@@ -167,7 +167,7 @@ def test_a_graph_that_only_onnxruntime_reads_becomes_a_table_that_says_so(tmp_pa
     assert model.kind == "table" and "Tanh" in told["why"] and told["table_off_mm"] < 0.02
     assert told["graph_sha256"] == sha256(content).hexdigest()
     u = RNG.uniform(-16, 16, (200, 2))
-    off = np.linalg.norm((model.prior.evaluate(u) - run_elsewhere(content, u)).reshape(200, -1, 3), axis=2)
+    off = np.linalg.norm((model.prior.evaluate(u) - run_onnxruntime(content, u)).reshape(200, -1, 3), axis=2)
     assert off.max() < 10 * max(told["table_off_mm"], 1e-3)
     # What consumes a model cannot tell: inverse kinematics, and written once more it is a table.
     there = model.tip(np.array([[2.0, -3.0]]))
@@ -198,7 +198,7 @@ def test_a_decoder_in_the_manner_of_deepsoro_goes_through_onnxruntime():
     content = to_graph(network)
     with torch.no_grad():
         wanted = network(torch.as_tensor(u, dtype=torch.float32)).numpy().reshape(len(u), -1)
-    np.testing.assert_allclose(run_elsewhere(content, u), wanted, atol=1e-4)
+    np.testing.assert_allclose(run_onnxruntime(content, u), wanted, atol=1e-4)
     with pytest.raises(Exception, match=r"'w\d+' holds int64 numbers; the core's network pass reads weights of 32-bit"):
         _core.Network(content)
 

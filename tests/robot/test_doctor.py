@@ -11,7 +11,7 @@ from rigs import HOME, MODEL, bench, calibration, torque
 
 from softmap_edge import _core, builtin_model, load_bundle, save_bundle
 from softmap_edge.cli import main
-from softmap_edge.commands.robot import tell_edited
+from softmap_edge.commands.robot import announce_edited_limits
 from softmap_edge.robot import doctor
 from softmap_edge.robot.doctor import FAULT, OK, WARNING, host
 from softmap_edge.robot.link.session import new_key
@@ -158,7 +158,7 @@ def test_an_edited_safety_toml_is_told(tmp_path, capsys):
     (folder / "safety.toml").write_text(text.replace("slew = 8.0", "slew = 7.0"))
     line = named(doctor.examine(bundle=folder).lines, "safety.toml")
     assert line.state == "warning" and line.found == "edited since the bundle was written" and line.do
-    tell_edited(load_bundle(folder))
+    announce_edited_limits(load_bundle(folder))
     said = capsys.readouterr().err
     assert said == "safety.toml of the bundle was edited since that was written; `softmap servo limits` prints it\n"
 

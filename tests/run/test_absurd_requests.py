@@ -12,7 +12,7 @@ from softmap_edge.cli import main
 from softmap_edge.errors import BundleError, FingerError, SoftmapError
 from softmap_edge.fem.finger import Finger
 from softmap_edge.fem.simulator import Simulator
-from softmap_edge.files.atomic import write_whole
+from softmap_edge.files.atomic import write_atomically
 from softmap_edge.files.npz import read_npz, write_npz
 from softmap_edge.model.bundle import builtin_model, load_bundle, save_bundle
 from softmap_edge.run.run import Run
@@ -165,9 +165,9 @@ def test_a_small_file_of_many_numbers_is_refused_before_they_are_made_floats(tmp
 
 def test_a_file_is_replaced_whole_and_its_neighbours_stay(tmp_path):
     (tmp_path / "d.json.part").write_text("precious")
-    write_whole(tmp_path / "d.json", "{}")
+    write_atomically(tmp_path / "d.json", "{}")
     assert (tmp_path / "d.json").stat().st_mode & 0o777 == (tmp_path / "d.json.part").stat().st_mode & 0o777
     with pytest.raises(FileNotFoundError, match="absent"):
-        write_whole(tmp_path / "absent" / "d.json", "{}")
+        write_atomically(tmp_path / "absent" / "d.json", "{}")
     assert sorted(entry.name for entry in tmp_path.iterdir()) == ["d.json", "d.json.part"]
     assert (tmp_path / "d.json.part").read_text() == "precious"

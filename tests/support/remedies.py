@@ -18,8 +18,8 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
-from softmap_edge.cli import HELP, parser_of, verbs_here
-from softmap_edge.commands import ELSEWHERE, Verb
+from softmap_edge.cli import HELP, commands_here, parser_of
+from softmap_edge.commands import ELSEWHERE, Command
 
 ROOT = Path(__file__).parents[2]
 FOLDERS = ("softmap_edge", "training/softmap_training", "rust")
@@ -65,9 +65,9 @@ def named_in(text: str) -> list[list[str]]:
 
 
 @cache
-def verbs() -> dict[str, Verb]:
+def verbs() -> dict[str, Command]:
     """Return the verbs of this installation by name."""
-    return {verb.name: verb for verb in verbs_here()}
+    return {verb.name: verb for verb in commands_here()}
 
 
 def python_texts(file: Path) -> Iterator[tuple[int, str]]:

@@ -51,7 +51,7 @@ def fell(before, after, floor):
 
 def told(story):
     """One line for the failure report: what was hidden, what was said, the raw errors."""
-    hidden = ", ".join(f"{s.name} {s.displacement_mm:.1f} mm" for s in story.truth.secrets)
+    hidden = ", ".join(f"{s.name} {s.displacement_mm:.1f} mm" for s in story.truth.hidden)
     return (
         f"hidden {hidden}; said {claimed(story)} ({story.diagnosis.to_dict()['verdict']}); "
         f"{story.before_mm:.3f} -> {story.after_mm:.3f}, floor {story.floor_mm:.3f} mm"
@@ -61,7 +61,7 @@ def told(story):
 @pytest.mark.parametrize("name", LAWS)
 def test_hidden_effect_is_named_first_and_its_error_falls(name):
     story = case((name,), SEED)
-    assert 1.0 <= story.truth.secrets[0].displacement_mm <= 4.0
+    assert 1.0 <= story.truth.hidden[0].displacement_mm <= 4.0
     assert story.before_mm > story.floor_mm + 0.1, told(story)
     assert first(story, name), told(story)
     assert fell(story.before_mm, story.after_mm, story.floor_mm), told(story)

@@ -15,7 +15,7 @@ from softmap_edge.experiment.blocks import chosen, plan
 from softmap_edge.experiment.choose import SETTLED
 from softmap_edge.robot.drive.command_file import read_commands
 from softmap_edge.run.protocol import Limits
-from softmap_edge.synthetic.finger import Secret, Truth
+from softmap_edge.synthetic.finger import HiddenEffect, Truth
 
 MODEL = builtin_model()
 
@@ -23,7 +23,7 @@ MODEL = builtin_model()
 @pytest.mark.parametrize("hidden", SECRETS)
 def test_one_orientation_cannot_tell_and_the_next_experiment_does(hidden, tmp_path, capsys):
     twin = {"payload": "gravity", "gravity": "payload"}[hidden]
-    truth = Truth(4, (Secret(SECRETS[hidden], 0.0),))
+    truth = Truth(4, (HiddenEffect(SECRETS[hidden], 0.0),))
     run = truth.measure(plan(chosen(FIRST), Limits.of(MODEL.command_range)))
     assert np.ptp(run.gravity, axis=0).max() == 0.0
     doubt = diagnose(MODEL, run)

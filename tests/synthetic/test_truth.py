@@ -216,7 +216,7 @@ def test_secret_moves_the_centroids_by_what_it_says(name):
     moved = centroids(truth.shapes(p, 3)) - centroids(truth.twin().shapes(p, 3))
     rms = np.sqrt((moved**2).sum(axis=2).mean())
     assert 1.0 <= rms <= 4.0
-    assert rms == pytest.approx(truth.secrets[0].displacement_mm)
+    assert rms == pytest.approx(truth.hidden[0].displacement_mm)
 
 
 def test_every_frame_is_the_equilibrium_found_on_its_own():
@@ -279,4 +279,4 @@ def test_laws_that_are_asked_for_by_name_move_every_channel():
     assert np.array_equal(SwappedServos().command(t, u), u[:, [1, 0, 2, 3]])
     assert np.array_equal(SwappedServos().command(t, u[:, :1]), -u[:, :1])
     hidden = hide(["servo_swap", "mount", "off_centre_spool"], 4)
-    assert [secret.name for secret in hidden.secrets] == ["servo_swap", "off_centre_spool", "mount"]
+    assert [secret.name for secret in hidden.hidden] == ["servo_swap", "off_centre_spool", "mount"]

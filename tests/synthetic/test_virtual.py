@@ -22,7 +22,7 @@ from softmap_edge.robot.emulated.laws import OtherSpool, TipWeight, rotation
 from softmap_edge.robot.emulated.published_map import PUBLISHED
 from softmap_edge.run.protocol import Limits
 from softmap_edge.run.run import Run
-from softmap_edge.synthetic.finger import Secret, toured
+from softmap_edge.synthetic.finger import HiddenEffect, toured
 from softmap_edge.synthetic.virtual_finger import CAMERAS, LEAN, MEASURED, MODULUS, PHASE, virtual_finger
 from softmap_edge.synthetic.virtual_protocol import KINDS, virtual_protocol
 
@@ -94,7 +94,7 @@ def test_what_is_drawn_lies_where_it_is_said_to(virtual):
 
 def test_friction_remembers_where_a_command_was_reached_from(virtual):
     protocol = virtual_protocol("grid", 3, LIMITS)
-    acting, told = virtual.truth.to_body(protocol), replace(virtual.truth, secrets=()).to_body(protocol)
+    acting, told = virtual.truth.to_body(protocol), replace(virtual.truth, hidden=()).to_body(protocol)
     held_back = told - acting
     assert 0.3 < np.abs(held_back).max() < 2.0 and held_back.min() < -0.3 < 0.3 < held_back.max()
 
@@ -208,12 +208,12 @@ def test_the_template_is_embedded_in_the_tetrahedra(virtual):
 
 def test_hidden_effects_come_on_top(virtual):
     few = replace(PATHS, t_seen=PATHS.t_seen[[3]])
-    gain, weight = Secret(OtherSpool((0.1, 0.1)), 0.0), Secret(TipWeight(10.0), 0.0)
+    gain, weight = HiddenEffect(OtherSpool((0.1, 0.1)), 0.0), HiddenEffect(TipWeight(10.0), 0.0)
     shapes = virtual.shapes(few)
     for secret in (gain, weight):
         assert rms(replace(virtual, hidden=(secret,)).shapes(few) - shapes) > 0.1
     both = replace(virtual, hidden=(weight, gain)).truth
-    assert [secret.name for secret in both.secrets] == ["gain", "hysteresis", "gravity", "payload"]
+    assert [secret.name for secret in both.hidden] == ["gain", "hysteresis", "gravity", "payload"]
 
 
 def test_a_mesh_made_elsewhere_is_turned_as_it_is():

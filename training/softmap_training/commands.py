@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from softmap_edge.commands import Verb
+from softmap_edge.commands import Command
 
 
-def verbs() -> list[Verb]:
+def verbs() -> list[Command]:
     """Return the verbs to add."""
     return [
-        Verb("train", "make a model", "train a prior or a residual network", "softmap_training.train_verb"),
-        Verb(
+        Command("train", "make a model", "train a prior or a residual network", "softmap_training.train_verb"),
+        Command(
             "evaluate", "understand", "models side by side, with the paper's figures", "softmap_training.evaluate_verb"
         ),
     ]

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from softmap_edge.files.atomic import write_whole
+from softmap_edge.files.atomic import write_atomically
 from softmap_edge.files.numbers import mm
 from softmap_edge.report.style import PAGE, cards, escaped, picture, section
 from softmap_training.evaluate import Row
@@ -49,7 +49,7 @@ def write_page(
     parts += [_costs(document), _origin(document)]
     page = PAGE.replace("@TITLE@", "Evaluation").replace("@BODY@", "\n".join(part for part in parts if part))
     target = Path(path)
-    write_whole(target, page)
+    write_atomically(target, page)
     return target
 
 

@@ -48,7 +48,9 @@ BETWEEN = "given all nodes of its grid, so validated halfway between them"
 
 def evaluate_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `evaluate`."""
-    parser.add_argument("bundles", nargs="*", metavar="BUNDLE", help="models to judge; the built-in finger without any")
+    parser.add_argument(
+        "bundles", nargs="*", metavar="BUNDLE", help="models to validate; the built-in finger without any"
+    )
     effects_argument(parser)
     parser.add_argument("--set", metavar="SET", help="simulated shapes (.zarr or .npz): validated on their test part")
     parser.add_argument(
@@ -120,7 +122,7 @@ def evaluate(args: argparse.Namespace) -> int:
 def _checked(args: argparse.Namespace) -> list[str]:
     """Return which models are to be fitted to the set, after checking what was asked for."""
     if args.set is None and args.run is None:
-        raise TrainingError("nothing to judge on; give --set SET, --run RUN or both")
+        raise TrainingError("nothing to validate on; give --set SET, --run RUN or both")
     for name in ("truth", "train"):
         if getattr(args, name) and args.run is None:
             raise TrainingError(f"--{name} goes with --run")

@@ -16,7 +16,7 @@ from onnx import TensorProto, helper, numpy_helper
 from torch import nn
 
 from softmap_edge import _core
-from softmap_edge.model.onnx import AGREE_MM, run_elsewhere
+from softmap_edge.model.onnx import AGREE_MM, run_onnxruntime
 from softmap_training.errors import TrainingError
 from softmap_training.networks import Modes, Scale
 
@@ -72,7 +72,7 @@ def checked(network: nn.Sequential, content: bytes, commands: Floats) -> float:
     network.eval()
     with torch.no_grad():
         trained = network(torch.as_tensor(commands, dtype=torch.float32)).numpy()
-    others = run_elsewhere(content, commands), np.asarray(_core.Network(content).evaluate(commands))
+    others = run_onnxruntime(content, commands), np.asarray(_core.Network(content).evaluate(commands))
     apart = max(float(np.abs(trained - other).max()) for other in others)
     if not apart < AGREE_MM:
         raise TrainingError(f"the exported network is {apart:.2g} mm off the trained one, allowed is {AGREE_MM:g}")

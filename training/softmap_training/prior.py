@@ -32,7 +32,7 @@ from softmap_edge.fem.simulator import tensor_grid
 from softmap_edge.files.npz import unpacked
 from softmap_edge.geometry.sections import tip_of
 from softmap_edge.model.model import Arrays, Model
-from softmap_edge.model.onnx import elsewhere, run_elsewhere
+from softmap_edge.model.onnx import run_onnxruntime, table_from_onnxruntime
 from softmap_edge.model.shapes import family_from
 from softmap_edge.model.structure import Structure
 from softmap_edge.model.training_range import BEYOND, UNLIKE, span
@@ -204,10 +204,10 @@ def decoder_model(
     bodies = [np.ascontiguousarray(shape) for shape in shapes[some]]
     fitted = fit_deepsoro(commands[some], bodies, len(base.rest), seed, held, epochs, folder, told)
     content = fitted.onnx or b""
-    found = run_elsewhere(content, commands)
+    found = run_onnxruntime(content, commands)
     sheet = found.reshape(len(found), -1, 3)
     apart = np.array([_chamfer(sheet[k], shapes[k]) for k in test])
-    rest = run_elsewhere(content, np.zeros((1, base.channels))).reshape(-1, 3)
+    rest = run_onnxruntime(content, np.zeros((1, base.channels))).reshape(-1, 3)
     report = {
         "kind": "deepsoro",
         "seed": seed,
@@ -217,7 +217,9 @@ def decoder_model(
         "command_range": span(commands[train]),
         "test_chamfer_mm": float(apart.mean()),
     }
-    arrays, said = elsewhere("prior.onnx", content, base.command_range, {}, "a decoder is no chain of layers")
+    arrays, said = table_from_onnxruntime(
+        "prior.onnx", content, base.command_range, {}, "a decoder is no chain of layers"
+    )
     half = float(np.sqrt(np.mean((apart / 2) ** 2)))
     triangles = np.zeros((0, 3), np.int32) if fitted.triangles is None else fitted.triangles
     bare = Model(

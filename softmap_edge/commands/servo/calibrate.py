@@ -6,7 +6,7 @@ import argparse
 import json
 from dataclasses import replace
 
-from softmap_edge.commands.commissioning import confirm, deadman, hold_argument, tell
+from softmap_edge.commands.commissioning import announce, confirm, deadman, hold_argument
 from softmap_edge.commands.output import bundle_arguments, check_bundle, to_stderr
 from softmap_edge.commands.own import effects_argument, load_own, open_model
 from softmap_edge.errors import CalibrationError, ServoError
@@ -89,7 +89,7 @@ def _jogged(args: argparse.Namespace, rig: Rig, model: Model) -> list[int]:
         way = bends(model, k)
         with Jog(rig, tell=to_stderr) as jog:
             with deadman(args.hold) as hand:
-                tell(args, f"servo {servo.id} turns by {JOGGED:+.0f} ticks and back; watch the tip", hand)
+                announce(args, f"servo {servo.id} turns by {JOGGED:+.0f} ticks and back; watch the tip", hand)
                 came = jog.by(k, JOGGED, hand)
                 if not hand.stopped:
                     jog.by(k, -came, hand)

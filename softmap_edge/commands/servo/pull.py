@@ -5,11 +5,11 @@ from __future__ import annotations
 import argparse
 import json
 
-from softmap_edge.commands.commissioning import deadman, hold_argument, tell
+from softmap_edge.commands.commissioning import announce, deadman, hold_argument
 from softmap_edge.commands.output import check_file, to_stderr
 from softmap_edge.commands.own import effects_argument, load_own, open_model
 from softmap_edge.commands.progress import Bar
-from softmap_edge.commands.robot import tell_edited
+from softmap_edge.commands.robot import announce_edited_limits
 from softmap_edge.robot.commissioning.pull import MARGIN, noted, pull
 from softmap_edge.robot.servo.limits import IDLE, effective_limits
 from softmap_edge.robot.servo.rig import read_rig
@@ -30,10 +30,10 @@ def pull_test(args: argparse.Namespace) -> int:
     rig = read_rig(args.rig)
     load_own(args)
     model = open_model(args.bundle)
-    tell_edited(model)
+    announce_edited_limits(model)
     found = effective_limits(rig, model)
     with deadman(args.hold) as hand:
-        tell(args, "each servo goes slowly to both ends of its window and back", hand)
+        announce(args, "each servo goes slowly to both ends of its window and back", hand)
         with Bar(args.json) as bar:
             done = pull(found, hand, () if args.servo is None else (args.servo,), bar, to_stderr)
     noted(rig, done).note(args.rig)

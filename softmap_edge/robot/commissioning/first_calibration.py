@@ -57,8 +57,8 @@ def radius(pulley_mm: float, ruler: tuple[float, float] | None = None) -> Radius
     ticks, mm = abs(ruler[0]), abs(ruler[1])
     if not (np.isfinite([ticks, mm]).all() and ticks >= 1.0 and mm >= SHORTEST_MM):
         raise CalibrationError(
-            f"a ruler reading of {ruler[1]:g} mm for {ruler[0]:g} ticks; at least {SHORTEST_MM:g} mm of tendon tell "
-            "something: turn the servo farther"
+            f"a ruler reading of {ruler[1]:g} mm for {ruler[0]:g} ticks; at least {SHORTEST_MM:g} mm of tendon "
+            "are needed: turn the servo farther"
         )
     turn = TURN / (2.0 * np.pi * ticks)
     read, doubt = mm * turn, RULER_MM * turn

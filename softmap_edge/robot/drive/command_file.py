@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.errors import RunError, brief
-from softmap_edge.files.atomic import beside
+from softmap_edge.files.atomic import replacement_of
 from softmap_edge.run.protocol import Protocol
 
 Floats = NDArray[np.float64]
@@ -43,7 +43,7 @@ def write_commands(path: str | Path, plan: Protocol, robot: str) -> None:
     if plan.frames:
         label[:] = plan.block[np.clip(np.searchsorted(rows, np.arange(plan.t.size)), 0, plan.frames - 1)]
     note = {int(np.searchsorted(plan.t, time - 1e-9)): text for time, text in plan.notes}
-    with beside(Path(path)) as partial, open(partial, "w", encoding="utf-8", newline="") as file:
+    with replacement_of(Path(path)) as partial, open(partial, "w", encoding="utf-8", newline="") as file:
         file.write(f"# softmap commands {VERSION}; robot {_line(robot)[:80]}; unit {plan.unit}\n")
         table = csv.writer(file, lineterminator="\n")
         table.writerow([*BEFORE, *(f"u{c}" for c in range(plan.command.shape[1])), *AFTER])

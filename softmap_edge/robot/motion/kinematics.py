@@ -197,7 +197,7 @@ class Kinematics:
         return Plan(t, points, acting, commands, expected, self._apart(expected, points), unreachable)
 
     @property
-    def undone(self) -> list[str]:
+    def compensated(self) -> list[str]:
         """The model's effects that commands compensate.
 
         Delays without a preview are not compensated; a plan expects their error. A shape with memory is solved as if at

@@ -88,14 +88,14 @@ def read_emergency(table: TomlTable, folder: Path) -> Emergency:
     gpio = udp = None
     if "gpio" in table.values:
         one = table.table("gpio")
-        chip, line = one.get("chip", (str,), "/dev/gpiochip0"), one.whole("line", None, 0, LINES)
+        chip, line = one.get("chip", (str,), "/dev/gpiochip0"), one.integer("line", None, 0, LINES)
         if line is None:
             raise ServoError(f"{one.where}: no line; `gpioinfo` lists them")
         gpio = Line(chip, line, one.get("active_low", (bool,), False))
         one.done()
     if "udp" in table.values:
         one = table.table("udp")
-        port, key = one.whole("port", None, 1, 65_535), one.get("key_file", (str,), "")
+        port, key = one.integer("port", None, 1, 65_535), one.get("key_file", (str,), "")
         if port is None or not key:
             raise ServoError(f"{one.where}: no port or no key_file; `softmap servo heartbeat --new-key FILE` makes one")
         timeout = one.number("timeout", TIMEOUT, SHORTEST, LONGEST)

@@ -14,7 +14,7 @@ from typing import Any
 
 from softmap_edge import _core
 from softmap_edge.errors import ServoError, SoftmapError
-from softmap_edge.files.atomic import MOST_TEXT, write_whole
+from softmap_edge.files.atomic import MOST_TEXT, write_atomically
 from softmap_edge.files.toml import TomlTable, quoted, written
 from softmap_edge.robot.servo.clock import REAL_TIME, Clock
 from softmap_edge.robot.servo.emergency import Emergency, read_emergency
@@ -102,7 +102,7 @@ class Rig:
 
     def write(self, path: str | Path) -> None:
         """Write a new `rig.toml`, whole or not at all."""
-        write_whole(path, self.to_toml())
+        write_atomically(path, self.to_toml())
 
     def note(self, path: str | Path) -> None:
         """Write what is known of the servos, and how it was found, into the `rig.toml` that this was read from.
@@ -113,7 +113,7 @@ class Rig:
             ServoError: it is no rig any more. OSError: it cannot be read or written.
         """
         read_rig(path)
-        write_whole(path, noted(Path(path).read_text("utf-8"), self.to_toml()))
+        write_atomically(path, noted(Path(path).read_text("utf-8"), self.to_toml()))
 
 
 def read_rig(path: str | Path) -> Rig:
@@ -131,21 +131,21 @@ def read_rig(path: str | Path) -> Rig:
             raise ServoError(f"{file}: too large for a rig")
         table = TomlTable(tomllib.loads(file.read_text("utf-8")), str(file))
         table.choice("schema", (SCHEMA,), "")
-        port, baud = table.get("port", (str,), ""), table.whole("baud", 57_600, 9_600, 4_500_000)
+        port, baud = table.get("port", (str,), ""), table.integer("baud", 57_600, 9_600, 4_500_000)
         servos = []
         for k, entry in enumerate(table.get("servo", (list,), [])):
             one = TomlTable(entry, f"{file}: servo {k + 1}")
-            id = one.whole("id", None, 0, 252)
+            id = one.integer("id", None, 0, 252)
             if id is None:
                 raise ServoError(f"{file}: servo {k + 1} has no id; `softmap servo scan` finds it")
             servos.append(
                 RigServo(
                     id,
                     one.get("model", (str,), ""),
-                    one.whole("home", None, -FARTHEST, FARTHEST),
+                    one.integer("home", None, -FARTHEST, FARTHEST),
                     one.number("current_mA", None, *RANGES["current_mA"]),
-                    one.whole("low", None, *_whole(RANGES["low"])),
-                    one.whole("high", None, *_whole(RANGES["high"])),
+                    one.integer("low", None, *_whole(RANGES["low"])),
+                    one.integer("high", None, *_whole(RANGES["high"])),
                     one.number("slew", None, *RANGES["slew"]),
                     one.number("acceleration", None, *RANGES["acceleration"]),
                 )

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from softmap_edge.errors import TeleopError
-from softmap_edge.files.atomic import beside, write_whole
+from softmap_edge.files.atomic import replacement_of, write_atomically
 
 DETECTOR, LANDMARKS = "hand_detector.tflite", "hand_landmarks_detector.tflite"
 IN_WHEEL = {
@@ -69,7 +69,7 @@ def fetch_model(source: str | Path, to: str | Path | None = None, *, force: bool
         raise TeleopError(f"{target}: is there already; --force replaces it, --model names another")
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
-        with beside(target) as partial:
+        with replacement_of(target) as partial:
             if is_task:
                 partial.write_bytes(Path(source).read_bytes())
             else:
@@ -78,7 +78,7 @@ def fetch_model(source: str | Path, to: str | Path | None = None, *, force: bool
                         task.writestr(zipfile.ZipInfo(name), network)  # without a date: the same bytes each time
             sha256 = hashlib.sha256(partial.read_bytes()).hexdigest()
             _record(target).unlink(missing_ok=True)  # never the old checksum beside the new file
-        write_whole(_record(target), f"{sha256}  {target.name}\n")
+        write_atomically(_record(target), f"{sha256}  {target.name}\n")
     except OSError as cause:
         raise TeleopError(f"{target}: cannot be written ({cause.strerror or cause}); give another place") from None
     return check_model(target)
