@@ -17,7 +17,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.errors import RecordingBroken, ServoError
-from softmap_edge.robot.control.recording_end import broken_recording
 from softmap_edge.robot.control.shutdown import kept_words
 from softmap_edge.robot.remedies import filled
 from softmap_edge.robot.servo import status_words as words
@@ -91,6 +90,8 @@ class Supervisor:
         if self._record is not None and self._broken is None and not self._recorded:
             ended = bool(self._end) and self._process is None
             lost = int(self._end.get("lost", 0)) if ended else 0
+            from softmap_edge.robot.control.recording_end import broken_recording
+
             self._broken = broken_recording(self._record, self._last.get("unrecorded"), lost, ended)
             self._recorded = ended
         return self._broken
