@@ -154,6 +154,24 @@ class TextColumns:
             f"shorter there than the {len(recent) - 1} rows above: set skip_last_rows = 1 to leave the row out",
         )
 
+    def both_orders(self, place: int) -> Array:
+        """Return the seconds (rows, 2) of a column of dates, in both orders of day and month.
+
+        Raises:
+            RunError: a cell is no date.
+        """
+        cells = self.read([], place)
+        assert cells.labels is not None
+        return self._times(place, cells.labels.tolist(), cells.lines)
+
+    def dated(self, order: str) -> TextColumns:
+        """Return the same with an order of day and month for dates that have none yet."""
+        clocks = {
+            place: replace(clock, order=clock.order or order) if clock.form == "local" else clock
+            for place, clock in self.clocks.items()
+        }
+        return replace(self, clocks=clocks)
+
     def refuse_words(self, column: int) -> None:
         """Raise RunError if a column that was read, such as the time, holds a word."""
         for (other, word), (_, line) in self.words.found.items():
