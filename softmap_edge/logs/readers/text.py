@@ -23,7 +23,7 @@ from softmap_edge.errors import RunError
 from softmap_edge.logs.readers.between import Between, without_heads
 from softmap_edge.logs.readers.cells import find_delimiter, is_number, is_plain, split
 from softmap_edge.logs.readers.columns import Array, Cells
-from softmap_edge.logs.readers.encoding import PLAIN, encoding_of, is_wide
+from softmap_edge.logs.readers.encoding import PLAIN, decoded, encoding_of, is_cut, is_wide
 from softmap_edge.logs.readers.ending import RECENT, cut_within, lines_below
 from softmap_edge.logs.readers.header import LINES, Table, find_table, widths_of
 from softmap_edge.logs.readers.thousands import Marks, is_alike, marks_of, other_mark, unclear
@@ -145,7 +145,12 @@ class TextColumns:
         return Cells(table, found, at, (*notes, *more), doubts=doubts)
 
     def _cut(self, recent: list[str], line: int) -> tuple[str, ...]:
-        """Return a doubt if the file seems to end within its last cell."""
+        """Return a doubt if the file ends within its last cell, or seems to."""
+        if is_cut(self.path):
+            return (
+                f"the file was cut: it ends within a character of line {line}, and that row may be wrong: set "
+                "skip_last_rows = 1 to leave it out",
+            )
         last = cut_within(self.path, recent, self.delimiter)
         if last is None:
             return ()
@@ -514,22 +519,19 @@ def _blocks(path: Path, first: int, stop: int | None = None) -> Iterator[tuple[i
         if path.stat().st_size > LIMIT:
             raise RunError(f"{path}: {path.stat().st_size} bytes, at most {LIMIT} are read; split the log")
         encoding = encoding_of(path)[0]
-        with path.open(encoding=encoding) as file:
-            while text := file.read(_BLOCK):
-                if "\0" in text:
-                    raise RunError(f"{path}: holds zero bytes; the file is damaged or not a CSV log")
-                lines = (rest + text).split("\n")
-                rest = lines.pop()
-                if len(rest) > LONGEST:
-                    raise RunError(
-                        f"{path}: line {number + len(lines)} is longer than {LONGEST} characters; export again"
-                    )
-                if number + len(lines) > first:
-                    end = len(lines) if stop is None else max(stop - number, 0)
-                    yield max(number, first), lines[max(first - number, 0) : end]
-                number += len(lines)
-                if stop is not None and number >= stop:
-                    return
+        for text in decoded(path, encoding, _BLOCK):
+            if "\0" in text:
+                raise RunError(f"{path}: holds zero bytes; the file is damaged or not a CSV log")
+            lines = (rest + text).split("\n")
+            rest = lines.pop()
+            if len(rest) > LONGEST:
+                raise RunError(f"{path}: line {number + len(lines)} is longer than {LONGEST} characters; export again")
+            if number + len(lines) > first:
+                end = len(lines) if stop is None else max(stop - number, 0)
+                yield max(number, first), lines[max(first - number, 0) : end]
+            number += len(lines)
+            if stop is not None and number >= stop:
+                return
     except OSError as cause:
         raise RunError(f"{path}: cannot be read ({cause.strerror or cause}); give the path of a log") from cause
     except UnicodeDecodeError as cause:
