@@ -144,7 +144,10 @@ def _without_swaps(points: Array, t: Array, markers: Quantity, notes: list[str],
     swaps = find_swaps(points, t, markers.labels)
     if swaps and markers.swaps == "mend":
         notes += _few([f"{swap}: mended" for swap in swaps])
-        return mend_swaps(points, swaps)
+        mended, first = mend_swaps(points, swaps)
+        if not first:
+            notes.append("the log begins with exchanged markers; the names of most of its frames count")
+        return mended
     remedy = 'look at them; markers.swaps = "mend" exchanges them back'
     doubts += _few([f"{swap}; {remedy}" for swap in swaps])
     return points
