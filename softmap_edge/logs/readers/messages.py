@@ -1,6 +1,7 @@
 """Gather decoded messages of one topic as a table: one row per message, columns by name, `time` and `log_time`.
 
-A field of the messages that is called `time` or `log_time` itself becomes the column `time (field)`. Also the errors of readers of recordings whose topic is not there, or not named.
+A field of the messages that is called `time` or `log_time` itself becomes the column `time (field)`. Also the
+errors of readers of recordings whose topic is not there, or not named.
 """
 
 from __future__ import annotations
