@@ -25,14 +25,15 @@ class Swap:
     """At `frame` the markers `after` show what the markers `before` showed until then."""
 
     frame: int
-    t: float
+    t: float | None  # s; None in a log without time
     after: tuple[int, ...]
     before: tuple[int, ...]
     labels: tuple[str, ...]
 
     def __str__(self) -> str:
         names = [self.labels[m] for m in self.after]
-        return f"{', '.join(names[:-1])} and {names[-1]} change places at frame {self.frame} ({self.t:.6g} s)"
+        when = "" if self.t is None else f" ({self.t:.6g} s)"
+        return f"{', '.join(names[:-1])} and {names[-1]} change places at frame {self.frame}{when}"
 
 
 def find_swaps(points: Array, t: Array, labels: tuple[str, ...]) -> list[Swap]:
