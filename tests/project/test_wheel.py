@@ -16,7 +16,7 @@ from softmap_edge.robot.teleop.page import SERVED
 
 DIST = Path(__file__).parents[2] / "dist"
 MOST = 5_000_000  # bytes
-BASE = {"numpy", "onnxruntime", "tomlkit"}
+BASE = {"numpy", "onnxruntime", "tomlkit", "websockets"}
 
 pytestmark = pytest.mark.prove
 
