@@ -41,7 +41,7 @@ from softmap_edge.robot.servo.loop_limits import servo_limits
 
 def track_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `track`."""
-    parser.add_argument("figure", nargs="?", help=f"{', '.join(FIGURES)}, or a polyline: FILE.csv (x,y) or FILE.svg")
+    parser.add_argument("figure", nargs="?", help=f"{', '.join(FIGURES)}, or a polyline: FILE.csv (x,y)")
     where = parser.add_mutually_exclusive_group(required=True)
     where.add_argument("--sim", action="store_true", help="on an emulated robot: real packets, simulated finger")
     where.add_argument("--rig", metavar="FILE.toml", help="on the servos of this rig")
