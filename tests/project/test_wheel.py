@@ -12,11 +12,12 @@ from pathlib import Path
 
 import pytest
 
+from softmap_edge.report.pages import TEMPLATES
 from softmap_edge.robot.teleop.page import SERVED
 
 DIST = Path(__file__).parents[2] / "dist"
 MOST = 5_000_000  # bytes
-BASE = {"numpy", "onnxruntime", "tomlkit", "websockets"}
+BASE = {"jinja2", "numpy", "onnxruntime", "tomlkit", "websockets"}
 
 pytestmark = pytest.mark.prove
 
@@ -44,7 +45,8 @@ def test_it_asks_for_its_base_alone_and_holds_what_runs(wheel):
     assert always == BASE and not any("torch" in line for line in asked)
     folders = {name.split("/")[0] for name in names}
     assert {name for name in folders if ".dist-info" not in name} == {"softmap_edge"}
-    pages = {f"softmap_edge/teleop/{name}" for name, _ in SERVED.values()}
+    pages = {f"softmap_edge/robot/teleop/{name}" for name, _ in SERVED.values()}
+    pages |= {f"softmap_edge/report/templates/{file.name}" for file in TEMPLATES.iterdir()}
     assert {"softmap_edge/data/finger/manifest.json", "softmap_edge/py.typed", *pages} <= set(names)
 
 
