@@ -65,7 +65,7 @@ def test_every_document_is_listed():
     ]
     code = "".join(file.read_text(encoding="utf-8") for file in files if file.suffix in (".py", ".rs"))
     found = set(re.findall(r'"(softmap\.[a-z0-9_]+/\d+)', code))
-    page = (root / "docs/design.md").read_text(encoding="utf-8")
+    page = (root / "docs/architecture.md").read_text(encoding="utf-8")
     (block,) = re.findall(r"Documents and files carry their name and version: ([^.]*(?:\.[a-z][^.]*)*)\.", page)
     assert found == set(re.findall(r"softmap\.[a-z0-9_]+/\d+", block))
 
