@@ -62,6 +62,7 @@ prove: wheel $(VENV)/.prove
 
 # The documentation as a site in out/docs, with a search that works from a disk; every warning is an error.
 docs: $(VENV)/.docs
+	$(BIN)/python docs/make_reference.py
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet
 	@echo "Open out/docs/index.html"
 
@@ -69,6 +70,7 @@ docs: $(VENV)/.docs
 figures: $(VENV)/.test
 	$(BIN)/python docs/make_effects.py
 	$(BIN)/python docs/figures.py
+	$(BIN)/python docs/figures_diagnosis.py
 	$(BIN)/python docs/figures_tdcr.py
 	$(BIN)/python docs/figures_beam.py
 	$(BIN)/python docs/figures_track.py
@@ -127,6 +129,6 @@ $(VENV)/.lint: $(VENV)/.core
 	$(UV) --group pyproject.toml:lint --group pyproject.toml:test
 	touch $@
 
-$(VENV)/.docs: $(VENV)/.core pyproject.toml
+$(VENV)/.docs: $(VENV)/.test pyproject.toml
 	$(UV) --group pyproject.toml:docs
 	touch $@

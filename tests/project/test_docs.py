@@ -17,7 +17,7 @@ def script(path):
     return module
 
 
-OWN = ("tdcr_", "beam_", "track_")  # pictures of real data, and in real time, have scripts of their own
+OWN = ("tdcr_", "beam_", "track_", "diagnosis")  # their scripts need real data, real time or no data at all
 
 
 def test_the_pictures_are_made_where_they_are_wanted(tmp_path, capsys):

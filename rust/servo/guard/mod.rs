@@ -1,4 +1,4 @@
-//! What stands between every target and the servos: a state machine that denies by default, and paths within limits.
+//! The guard between every target and the servos: a state machine that denies by default, and paths within limits.
 //!
 //!   OFF → CONNECTED → HOMED → READY → ENGAGED ⇄ HOLD → SAFE_STOP → READY, or FAULT
 //!
