@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from itertools import product
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -22,6 +22,9 @@ from numpy.typing import ArrayLike, NDArray
 from softmap_edge.errors import CalibrationError
 from softmap_edge.run.rest_command import home_command
 from softmap_edge.run.run import CALIBRATION, HOME_TICKS, Run, text_in
+
+if TYPE_CHECKING:
+    from softmap_edge.model.model import Model
 
 Floats = NDArray[np.float64]
 
@@ -213,7 +216,7 @@ class Calibration:
             ) from None
 
 
-def converted(model: Any, run: Run) -> Run:
+def converted(model: Model, run: Run) -> Run:
     """Return the run with its ticks as commands, by the calibration of the model; unchanged if either is missing.
 
     Args:
@@ -225,8 +228,7 @@ def converted(model: Any, run: Run) -> Run:
     Raises:
         CalibrationError: the run has another number of servos than the calibration, or its own is none.
     """
-    calibration: Calibration | None = getattr(model, "calibration", None)
-    unit = getattr(model, "command_unit", "mm")
+    calibration, unit = model.calibration, model.command_unit
     if calibration is None and unit == TICKS:
         return commanded_in_ticks(run)
     calibration = calibration or _driven_by(run, unit)

@@ -31,6 +31,7 @@ from numpy.typing import NDArray
 
 from softmap_edge import _core
 from softmap_edge.errors import EffectError, brief
+from softmap_edge.model.effect_info import registry
 
 Floats = NDArray[np.float64]
 
@@ -160,7 +161,7 @@ def template(name: str) -> str:
         EffectError: the name is taken, or no name.
     """
     _check_name("effects new", name)
-    if name in {effect["name"] for effect in _core.effects()}:
+    if name in registry():
         raise EffectError(f"there is an effect '{name}' already; give yours another name")
     return _TEMPLATE.replace("NAME", name)
 

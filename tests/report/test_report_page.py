@@ -12,7 +12,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from leaning_triangle import record
+from leaning_triangle import markers_of, record
 from report_documents import DIAGNOSIS, compared, page
 
 from softmap_edge.comparison.comparison import compare
@@ -60,7 +60,7 @@ def test_a_floor_that_is_an_upper_bound_is_called_one(pair, tmp_path):
     run, worse, _, before, _ = pair
     t = np.arange(0, 30.0, 0.02)
     moving = record(t, np.column_stack([10 * np.sin(t), 8 * np.cos(0.7 * t)]), np.arange(0, 29, 0.1), noise=0.05)
-    bare = replace(worse, triangles=np.zeros((0, 3), int))
+    bare = markers_of(worse)
     for model, on, bound in ((worse, run, False), (bare, moving, True)):
         found, seen = compare(model, on), series(on, model)
         text = page(write_html(tmp_path / f"{bound}.html", found, None, seen))
@@ -109,8 +109,7 @@ def test_a_fitted_run_is_called_fitted(pair, tmp_path):
 
 def test_markers_have_a_page_too(pair, tmp_path):
     run, worse, better, _, _ = pair
-    bare = np.zeros((0, 3), int)
-    one, two = replace(worse, triangles=bare), replace(better, triangles=bare)
+    one, two = markers_of(worse), markers_of(better)
     text = page(write_html(tmp_path / "m.html", [compare(one, run), compare(two, run)], None, series(run, one, two)))
     assert text.count("data:image/png") == 2  # sheet and body
 
