@@ -64,80 +64,84 @@ def test_the_readme_is_one_screen():
     assert len(README.splitlines()) <= 55
 
 
-class TestTheDemo:
-    """One run of the demo for all of it: a minute."""
+# --- the demo: one run of a minute for all of it ------------------------------------------------
+@pytest.fixture(scope="module")
+def demo_printed(tmp_path_factory):
+    """Run the demo as its page does; give its folder and what it prints."""
+    folder = tmp_path_factory.mktemp("demo")
+    text = io.StringIO()
+    with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stdout(text):
+        patch.chdir(folder)
+        run(commands(DEMO)[0])
+    return folder, text.getvalue()
 
-    @pytest.fixture(scope="class")
-    def printed(self, tmp_path_factory):
-        """Run the demo as its page does; give its folder and what it prints."""
-        folder = tmp_path_factory.mktemp("demo")
-        text = io.StringIO()
-        with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stdout(text):
-            patch.chdir(folder)
-            run(commands(DEMO)[0])
-        return folder, text.getvalue()
 
-    def test_its_page_quotes_every_line(self, printed):
-        made = [line.rstrip() for line in printed[1].splitlines() if not re.search(r"solving, \d+ ?%|^\(\d+ s\)", line)]
-        assert [line for line in made if line] == [line for line in quoted(DEMO) if line]
+def test_its_page_quotes_every_line(demo_printed):
+    made = [
+        line.rstrip() for line in demo_printed[1].splitlines() if not re.search(r"solving, \d+ ?%|^\(\d+ s\)", line)
+    ]
+    assert [line for line in made if line] == [line for line in quoted(DEMO) if line]
 
-    def test_the_lines_of_the_readme_work_on_what_it_leaves(self, printed, monkeypatch, capsys):
-        folder, _ = printed
-        monkeypatch.chdir(folder)
-        there = [words for words in commands(README) if words[0] in ("cd", "softmap")]
-        assert there[0] == ["cd", "out/demo"] and len(there) == 5
-        for words in there:
+
+def test_the_lines_of_the_readme_work_on_what_it_leaves(demo_printed, monkeypatch, capsys):
+    folder, _ = demo_printed
+    monkeypatch.chdir(folder)
+    there = [words for words in commands(README) if words[0] in ("cd", "softmap")]
+    assert there[0] == ["cd", "out/demo"] and len(there) == 5
+    for words in there:
+        run(words)
+    out = capsys.readouterr().out
+    error = re.findall(r"^  rms +([\d.]+)", out, re.MULTILINE)
+    assert "sound     run.npz" in out and "Verdict: identified" in out and float(error[-1]) < 0.6
+    assert load_bundle("better").chain_names == ("hysteresis",)
+    assert Path("d.html").read_text(encoding="utf-8").startswith("<!doctype html")
+
+
+def test_the_lines_of_its_page_work_on_what_it_leaves(demo_printed, monkeypatch, tmp_path):
+    shutil.copytree(demo_printed[0] / "out", tmp_path / "out")
+    monkeypatch.chdir(tmp_path)
+    shutil.rmtree(tmp_path / "out/demo/better", ignore_errors=True)  # of the README's lines
+    for words in commands(DEMO)[1:]:
+        run(words)
+    left = {row for row in re.findall(r"^\| `([\w./]+)` \|", DEMO, re.MULTILINE)}
+    assert left == {"run.npz", "other_run.npz", "diagnosis.json", "report.html", "finger2/"}
+    assert all(Path(name).exists() for name in left)
+
+
+# --- the sample log from file to validated model ------------------------------------------------
+@pytest.fixture(scope="module")
+def csv_printed(tmp_path_factory):
+    """Run every command of the page in its order; give the folder and what they print."""
+    folder, text = tmp_path_factory.mktemp("csv"), io.StringIO()
+    shutil.copytree(ROOT / "examples", folder / "examples")
+    with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stdout(text):
+        patch.chdir(folder)
+        for words in commands(CSV):
             run(words)
-        out = capsys.readouterr().out
-        error = re.findall(r"^  rms +([\d.]+)", out, re.MULTILINE)
-        assert "sound     run.npz" in out and "Verdict: identified" in out and float(error[-1]) < 0.6
-        assert load_bundle("better").chain_names == ("hysteresis",)
-        assert Path("d.html").read_text(encoding="utf-8").startswith("<!doctype html")
-
-    def test_the_lines_of_its_page_work_on_what_it_leaves(self, printed, monkeypatch, tmp_path):
-        shutil.copytree(printed[0] / "out", tmp_path / "out")
-        monkeypatch.chdir(tmp_path)
-        shutil.rmtree(tmp_path / "out/demo/better", ignore_errors=True)  # of the README's lines
-        for words in commands(DEMO)[1:]:
-            run(words)
-        left = {row for row in re.findall(r"^\| `([\w./]+)` \|", DEMO, re.MULTILINE)}
-        assert left == {"run.npz", "other_run.npz", "diagnosis.json", "report.html", "finger2/"}
-        assert all(Path(name).exists() for name in left)
+    return folder, text.getvalue()
 
 
-class TestTheCsv:
-    """The sample log from file to validated model."""
+def test_what_the_page_quotes_is_printed_or_in_the_log(csv_printed):
+    log = (ROOT / "examples/sample_log.csv").read_text(encoding="utf-8").splitlines()
+    made = [line.rstrip() for line in csv_printed[1].splitlines()]
+    for line in (line for line in quoted(CSV) if line):
+        assert line in made or any(row.startswith(line) for row in log[:2]), line
 
-    @pytest.fixture(scope="class")
-    def printed(self, tmp_path_factory):
-        """Run every command of the page in its order; give the folder and what they print."""
-        folder, text = tmp_path_factory.mktemp("csv"), io.StringIO()
-        shutil.copytree(ROOT / "examples", folder / "examples")
-        with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stdout(text):
-            patch.chdir(folder)
-            for words in commands(CSV):
-                run(words)
-        return folder, text.getvalue()
 
-    def test_what_the_page_quotes_is_printed_or_in_the_log(self, printed):
-        log = (ROOT / "examples/sample_log.csv").read_text(encoding="utf-8").splitlines()
-        made = [line.rstrip() for line in printed[1].splitlines()]
-        for line in (line for line in quoted(CSV) if line):
-            assert line in made or any(row.startswith(line) for row in log[:2]), line
+def test_the_hidden_effect_is_found_and_the_error_falls(csv_printed):
+    assert load_bundle(csv_printed[0] / "better").chain_names == ("backlash",)
+    errors = [float(rms) for rms in re.findall(r"^  rms +([\d.]+)", csv_printed[1], re.MULTILINE)]
+    assert errors[-1] < 0.25 * errors[-2]
 
-    def test_the_hidden_effect_is_found_and_the_error_falls(self, printed):
-        assert load_bundle(printed[0] / "better").chain_names == ("backlash",)
-        errors = [float(rms) for rms in re.findall(r"^  rms +([\d.]+)", printed[1], re.MULTILINE)]
-        assert errors[-1] < 0.25 * errors[-2]
 
-    def test_the_proposal_differs_from_the_mapping_as_the_page_says(self, printed):
-        proposed = read_mapping(printed[0] / "proposed.toml")
-        mapping = read_mapping(ROOT / "examples/sample_map.toml")
-        assert proposed.command_unit == mapping.command_unit and len(proposed.logs) == len(mapping.logs)
-        (block,) = [text for language, text in blocks(CSV) if language == "toml"]
-        example = (ROOT / "examples/sample_map.toml").read_text(encoding="utf-8")
-        assert all(line in example for line in block.splitlines())
-        assert mapping.robot == "moe-finger" and Run.load(printed[0] / "run.npz").robot == "moe-finger"
+def test_the_proposal_differs_from_the_mapping_as_the_page_says(csv_printed):
+    proposed = read_mapping(csv_printed[0] / "proposed.toml")
+    mapping = read_mapping(ROOT / "examples/sample_map.toml")
+    assert proposed.command_unit == mapping.command_unit and len(proposed.logs) == len(mapping.logs)
+    (block,) = [text for language, text in blocks(CSV) if language == "toml"]
+    example = (ROOT / "examples/sample_map.toml").read_text(encoding="utf-8")
+    assert all(line in example for line in block.splitlines())
+    assert mapping.robot == "moe-finger" and Run.load(csv_printed[0] / "run.npz").robot == "moe-finger"
 
 
 @pytest.mark.prove
