@@ -118,7 +118,7 @@ def test_a_turn_away_from_a_home_that_is_still_proved_is_refused(capsys, tmp_pat
         ours.close()
         moved.write(file)
         assert home(file) == 2
-        assert "stands -1 turns from its home, which is still proved" in capsys.readouterr().err
+        assert "stands -1 turns from its home, which is still known" in capsys.readouterr().err
 
 
 def test_another_home_in_the_file_is_not_proved(wound):
