@@ -216,7 +216,7 @@ class Calibration:
             ) from None
 
 
-def converted(model: Model, run: Run) -> Run:
+def converted(model: Model | None, run: Run) -> Run:
     """Return the run with its ticks as commands, by the calibration of the model; unchanged if either is missing.
 
     Args:
@@ -228,7 +228,7 @@ def converted(model: Model, run: Run) -> Run:
     Raises:
         CalibrationError: the run has another number of servos than the calibration, or its own is none.
     """
-    calibration, unit = model.calibration, model.command_unit
+    calibration, unit = (None, "mm") if model is None else (model.calibration, model.command_unit)
     if calibration is None and unit == TICKS:
         return commanded_in_ticks(run)
     calibration = calibration or _driven_by(run, unit)
@@ -239,8 +239,8 @@ def converted(model: Model, run: Run) -> Run:
         return run
     if run.channels != len(calibration.b):
         raise CalibrationError(
-            f"the run has {run.channels} servos, the calibration of '{model.robot}' is of {len(calibration.b)}; it is "
-            "a run of another robot"
+            f"the run has {run.channels} servos, the calibration of '{(model or run).robot}' is of "
+            f"{len(calibration.b)}; it is a run of another robot"
         )
     return _commanded(run, calibration)
 

@@ -1,4 +1,4 @@
-"""The documentation as a whole: generated pages are current, links lead somewhere, each block of code is run by a test."""
+"""The documentation: generated pages are current, links lead somewhere, each block of code is run by a test."""
 
 import importlib.util
 import json
