@@ -1,4 +1,4 @@
-"""The verbs of the `softmap` command: one table, each verb's module imported only when it runs."""
+"""The commands of `softmap`: one table; the module of a command is imported only when it runs."""
 
 from __future__ import annotations
 

@@ -30,8 +30,8 @@ def build_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "finger",
         nargs="?",
-        help="finger.toml, or a sweep (.npz) of `softmap sweep` or of another simulator (docs/elsewhere.md); without "
-        "it the built-in finger",
+        help="finger.toml, or a sweep (.npz) of `softmap sweep` or of another simulator "
+        "(docs/do/import_sweep.md); without it the built-in finger",
     )
     bundle_arguments(parser)
     parser.add_argument("--steps", type=int, help="commands a channel in the sweep (41, of three channels 13)")

@@ -18,7 +18,7 @@ from softmap_edge.files.printable import listed
 
 EITHER_UNIT = (
     "whether the dataset holds degrees or LeRobot's values from -100 to 100 (a gripper's from 0 to 100); "
-    "the arm's calibration turns the latter into ticks (docs/mapping.md)"
+    "the arm's calibration turns the latter into ticks (docs/reference/mapping.md)"
 )
 INFO = Path("meta") / "info.json"
 _SIZE = 2**24  # bytes of an info

@@ -239,7 +239,7 @@ def converted(model: Model | None, run: Run) -> Run:
         return run
     if run.channels != len(calibration.b):
         raise CalibrationError(
-            f"the run has {run.channels} servos, the calibration of '{run.robot if model is None else model.robot}' is of "
+            f"the run has {run.channels} servos, the calibration of '{(model or run).robot}' is of "
             f"{len(calibration.b)}; it is a run of another robot"
         )
     return _commanded(run, calibration)

@@ -166,7 +166,7 @@ def template(name: str) -> str:
     return _TEMPLATE.replace("NAME", name)
 
 
-_TEMPLATE = '''"""NAME: what it is. `softmap diagnose RUN --effects NAME.py` tries it; see docs/own_effect.md."""
+_TEMPLATE = '''"""NAME: what it is. `softmap diagnose RUN --effects NAME.py` tries it; see docs/do/own_effect.md."""
 
 import numpy as np
 

@@ -394,7 +394,8 @@ class Run:
         """Return a piece of the run: a span of time, or a block (`run_cut.cut`).
 
         Args:
-            start, end: s; frames with start <= time < end. None stands for the begin or end of the run.
+            start: time in s; frames with start <= time < end are kept. None: from the first one on.
+            end: time in s. None: to the last frame.
             block: a label, in place of a time.
             lead_s: s of commands that are kept before the first frame, so that memory is still right.
 

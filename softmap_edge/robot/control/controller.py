@@ -6,10 +6,10 @@
             done = robot.target(u)   # mm in, what will be done out; call it at least every `stale` seconds
             time.sleep(0.02)
 
-Python sends commands, never ticks; the loop guards them (docs/safety.md) and never waits for Python. A program that
-stops calling `target` is held, then slackened; one that ends or is killed likewise. Should the loop's own process die
-or freeze, the servos stop by their watchdogs and a thread of this side switches their torque off, whatever the program
-does meanwhile. A servo that has not said that it has no torque at the end is an error.
+Python sends commands, never ticks; the loop guards them (docs/reference/safety.md) and never waits for Python. A
+program that stops calling `target` is held, then slackened; one that ends or is killed likewise. Should the loop's
+own process die or freeze, the servos stop by their watchdogs and a thread of this side switches their torque off,
+whatever the program does meanwhile. A servo that has not said that it has no torque at the end is an error.
 Pinned by tests/robot/test_controller.py and tests/robot/test_leaving.py.
 """
 
