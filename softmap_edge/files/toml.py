@@ -6,14 +6,23 @@ is written into TOML. Pinned by tests/robot/test_rig_file.py.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from softmap_edge.errors import RunError, no_name
+from softmap_edge.errors import RunError, nearest, no_name
 
 Array = NDArray[np.float64]
+_KINDS: dict[type, str] = {
+    str: "text",
+    int: "a whole number",
+    float: "a number",
+    bool: "true or false",
+    list: "a list",
+    dict: "a table",
+}
 
 
 class TomlTable:
@@ -31,9 +40,7 @@ class TomlTable:
             return default
         value = self.values[key]
         if not isinstance(value, kinds) or (isinstance(value, bool) and bool not in kinds):
-            names = " or ".join(
-                {str: "text", int: "a whole number", float: "a number"}.get(k, k.__name__) for k in kinds
-            )
+            names = " or ".join(_KINDS.get(k, k.__name__) for k in kinds)
             raise RunError(f"{self.where}: {key} is {kind(value)}, expected {names}")
         return value
 
@@ -57,7 +64,9 @@ class TomlTable:
         """Return a text that is one of a few."""
         value = str(self.get(key, (str,), default))
         if value not in allowed:
-            raise RunError(f"{self.where}: {key} = '{value[:40]}', expected one of {', '.join(allowed)}")
+            near = nearest(value, allowed)
+            hint = f"; did you mean '{near[0]}'?" if near else ""
+            raise RunError(f"{self.where}: {key} = '{value[:40]}', expected one of {', '.join(allowed)}{hint}")
         return value
 
     def table(self, key: str) -> TomlTable:
@@ -79,6 +88,11 @@ class TomlTable:
             raise RunError(f"{self.where}: {key} holds NaN or a number beyond 1e12; give plain numbers")
         return array
 
+    def only(self, keys: Iterable[str]) -> None:
+        """Raise RunError if the table holds a key that is not among `keys`, the complete list."""
+        self.asked = list(keys)
+        self.done()
+
     def done(self) -> None:
         """Raise RunError if a key was never asked for."""
         unknown = [key for key in self.values if key not in self.asked]
@@ -87,7 +101,8 @@ class TomlTable:
 
 
 def kind(value: Any) -> str:
-    return f"{type(value).__name__} {shown(value)!r}"
+    name = _KINDS.get(type(value), type(value).__name__)
+    return f"{name} {shown(value)!r}"
 
 
 def shown(value: Any) -> str:
