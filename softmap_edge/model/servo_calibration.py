@@ -318,7 +318,7 @@ def _driven(run: Run, drive: Run) -> Run:
     return whole
 
 
-def _numbers(name: str, value: Any) -> Floats:
+def _numbers(name: str, value: object) -> Floats:
     """Return finite numbers of a plausible size."""
     array = np.asarray(value)
     if array.dtype.kind not in "fiu":
