@@ -86,7 +86,7 @@ def paper_sized() -> PaperSized:
         network[-2].bias.copy_(torch.as_tensor(found[-1]))
     content = to_onnx(network, base.channels)
     arrays = dict(base.arrays) | {"prior": {"onnx": np.frombuffer(content, np.uint8)}}
-    model = replace(base, kind="network", prior=_core.Network(content), arrays=arrays)
+    model = replace(base.with_structure(prior=_core.Network(content)), kind="network", arrays=arrays)
     return PaperSized(network, content, model)
 
 

@@ -68,14 +68,9 @@ def model() -> Model:
         [family_from(shared | still | {"coefficients": rows[len(names) + c]}) for c in range(4)],
     )
     bent = kept("rod-second", (sources(), NODES, CAUSES), _bends)
-    whole = replace(
-        made,
-        fields=fields_from(arrays),
-        cables=cables,
-        second=second_of(bent),
-        arrays={**made.arrays, "fields": arrays},
-    )
-    return replace(whole, error_per_g_mm=_leaning_error(whole))
+    made = made.with_structure(fields=fields_from(arrays), cables=cables, second=second_of(bent))
+    made = replace(made, arrays={**made.arrays, "fields": arrays})
+    return replace(made, error_per_g_mm=_leaning_error(made))
 
 
 def _bends() -> dict[str, Any]:

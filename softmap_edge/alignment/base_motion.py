@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,9 @@ from softmap_edge.alignment.result import base_markers
 from softmap_edge.geometry.rigid import kabsch
 from softmap_edge.model.parameter_layout import Layout
 from softmap_edge.run.run import Run
+
+if TYPE_CHECKING:
+    from softmap_edge.model.model import Model
 
 Floats = NDArray[np.float64]
 
@@ -138,12 +141,12 @@ def kept_places(runs: Sequence[Run]) -> dict[str, Any]:
     return {PLACES: np.round(points.mean(axis=0), 4).tolist()}
 
 
-def base_of(model: Any, run: Run, reference: Run | Sequence[Run] | None = None) -> BaseMotion | None:
+def base_of(model: Model, run: Run, reference: Run | Sequence[Run] | None = None) -> BaseMotion | None:
     """Return the pose of a run's base against the reference run, or else against the runs that taught the model."""
     if reference is not None:
         several = reference if isinstance(reference, Sequence) else [reference]
         return base_motion(run, several[0]) if len(several) == 1 else None
-    place = _place(getattr(model, "made_from", {}))
+    place = _place(model.made_from)
     return None if place is None else _measured(_whole(base_markers(run)), place, int(SLOW_FRAMES))
 
 
@@ -186,7 +189,7 @@ def excluded(
     return found
 
 
-def _place(made_from: Mapping[str, Any]) -> Floats | None:
+def _place(made_from: Mapping[str, object]) -> Floats | None:
     """Return the places (B, 3) mm of base markers that a manifest keeps; None if it holds no such table."""
     kept = made_from.get(PLACES)
     if not isinstance(kept, list) or not LEAST_MARKERS <= len(kept) <= MOST_MARKERS:

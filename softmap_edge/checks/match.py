@@ -19,11 +19,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from softmap_edge import _core
 from softmap_edge.checks.remembered import centred, memory_share
 from softmap_edge.errors import RunError
 from softmap_edge.geometry.rigid import kabsch, rotation_vector
 from softmap_edge.logs.plausible import doubts_of_time
+from softmap_edge.model.effect_info import registry
 from softmap_edge.model.training_range import command_extrapolation
 from softmap_edge.run.conditions import conditions
 
@@ -250,8 +250,7 @@ def _at_the_clamp(model: Model, rest: Floats, seen: Floats, visible: Mask, predi
         return
     off = np.where(there[..., None], seen - predicted, 0.0).sum(axis=1)[frames] / there.sum(axis=1)[frames][:, None]
     shift, noise = float(np.linalg.norm(off.mean(axis=0))), float(np.linalg.norm(off.std(axis=0)))
-    mount = next(e for e in _core.effects() if e["name"] == "mount")
-    fitted = max(p["high"] for p in mount["parameters"] if p["unit"] == "mm")
+    fitted = max(one.high for one in registry()["mount"].parameters if one.unit == "mm")
     if shift > max(FAR * fitted, CLAMPED / 2 * length) and shift > STEADY * noise:
         where = ", ".join(f"{x:.3g}" for x in off.mean(axis=0))
         raise RunError(

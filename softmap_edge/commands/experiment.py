@@ -143,9 +143,7 @@ def _answered(args: argparse.Namespace, model: Any) -> tuple[Any, list[Any], lis
     runs, limits = [open_run(path, model) for path in args.run], _limits(args, model)
     references = [open_run(path, model) for path in args.reference]
     with Bar(args.json) as bar:
-        found = next_experiment(
-            model, diagnosis, runs, limits, None, lambda share: bar("simulating", share), references
-        )
+        found = next_experiment(model, diagnosis, runs, limits, lambda share: bar("simulating", share), references)
     names = args.block or [e.block for e in program(found, args.minutes)]
     setting = Setting.after(runs, model.gravity_reference)
     made = plan(chosen(names), limits, setting, args.seed) if names else None

@@ -156,7 +156,7 @@ def compare(model: Model, run: Run) -> Comparison:
     squared = np.where(visible, np.sum((predicted - seen) ** 2, axis=2), 0.0)  # (K, N) mm²
     distance = np.sqrt(squared[visible])
     state = conditions(run, model.commands(run))
-    where = {"section": _by_section(model, squared, visible, getattr(run, "marker_names", []))}
+    where = {"section": _by_section(model, squared, visible, run.marker_names)}
     for name, row in cells(state, model.command_unit).items():
         if run.timeless and name in TIMED:
             continue

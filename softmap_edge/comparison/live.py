@@ -23,6 +23,7 @@ from softmap_edge import _core
 from softmap_edge.comparison.comparison import aligned
 from softmap_edge.errors import ComparisonError, RunError
 from softmap_edge.model.chain_labels import valued
+from softmap_edge.model.effect_info import registry
 from softmap_edge.model.model import Model
 from softmap_edge.robot.link.frames import Frame, HostClock
 from softmap_edge.run.run import Run
@@ -78,7 +79,7 @@ class Live:
                 "the bundle holds no calibration of the servos, so their ticks mean nothing to it; `softmap calibrate`"
             )
         self._acts, self._shape = _advancing(model), _shape(model)
-        remembering = {entry["name"] for entry in _core.effects() if entry["remembers"]}
+        remembering = {info.name for info in registry().values() if info.remembers}
         self._remembers = not remembering.isdisjoint(model.chain_names)
         self._model, self._clock = model, HostClock(late)
         shift = dict(model.params).get("clock_shift.late", 0.0)
@@ -194,7 +195,7 @@ class Live:
 
 def _channel(name: str) -> bool:
     """Return whether an effect changes the commands, and may remember them."""
-    return next(bool(one["role"] == "channel") for one in _core.effects() if one["name"] == name)
+    return registry()[name].on_commands
 
 
 def _shape(model: Model) -> Model:
@@ -208,7 +209,7 @@ def _shape(model: Model) -> Model:
 def _advancing(model: Model) -> Callable[[Floats, Floats], Floats]:
     """Return what makes of new commands (n, C) at (n,) s what acts (n, C), after all that it was given before."""
     chain, params = model.chain, model.chain_params[None]
-    own = {effect["name"] for effect in _core.effects() if effect["own"]} & set(model.chain_names)
+    own = {info.name for info in registry().values() if info.own} & set(model.chain_names)
     state: Floats | None = None
     before_u, before_t = np.zeros((0, model.channels)), np.zeros(0)
 

@@ -14,20 +14,18 @@ Units: mm. Limit: effects are fitted to the residual one by one. Pinned by tests
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from copy import copy
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.diagnosis.decision import VISIBLE_MM
-from softmap_edge.diagnosis.evidence import experiment
 from softmap_edge.diagnosis.findings import Untestable
 from softmap_edge.diagnosis.fit import Fit, Problem
 from softmap_edge.diagnosis.fits import Fits
 from softmap_edge.diagnosis.record import Record
+from softmap_edge.model.effect_info import registry
 from softmap_edge.noise.noise_model import form_covariance
 
 Floats = NDArray[np.float64]
@@ -51,13 +49,13 @@ class ResidualConfounds:
     may_be: tuple[tuple[str, float], ...]
     own_mm: float
 
-    def untestable(self, registry: Mapping[str, dict[str, Any]]) -> list[Untestable]:
+    def untestable(self) -> list[Untestable]:
         """Return what may hide in the residual, with what to record."""
         return [
             Untestable(
                 name,
                 f"the model's residual of {self.size_mm:.2f} mm RMS may be it: it explains {100 * share:.0f} % of that",
-                *_other_conditions(registry, name),
+                *_other_conditions(name),
             )
             for name, share in self.may_be
         ]
@@ -96,8 +94,8 @@ def masked(fits: Fits, fit: Fit) -> ResidualConfounds | None:
 
 def _may_be(fits: Fits, fit: Fit, left: Floats) -> list[tuple[str, float]]:
     record = fits.problem.record
-    kinds = {e["name"]: e["kind"] for e in record.library.effects()}
-    wanted = [e for e in fits.candidates if e not in fit.effects and kinds[e] != "fault"]
+    known = registry()
+    wanted = [e for e in fits.candidates if e not in fit.effects and not known[e].is_fault]
     if not wanted:
         return []
     alone = Fits(_as_if_seen(fits, left), wanted)
@@ -135,7 +133,7 @@ def _against(fits: Fits, fit: Fit, alone: Fit, effect: str) -> bool:
     return bool(worse or record.rms_mm(record.seen - predicted[0]) >= record.rms_mm(record.seen - fit.predicted))
 
 
-def _other_conditions(registry: Mapping[str, dict[str, Any]], name: str) -> tuple[str, float]:
+def _other_conditions(name: str) -> tuple[str, float]:
     """Return what to record so that an effect and a static field differ: for a weight, another orientation."""
-    block, minutes = experiment(registry, name)
-    return ("another orientation", 1.0) if registry[name]["family"] == "dead load" else (block, minutes)
+    info = registry()[name]
+    return ("another orientation", 1.0) if info.family == "dead load" else info.experiment

@@ -131,22 +131,17 @@ def clean_run(model: Model, run: Run) -> CleanRun:
 
 
 def clean_record(
-    model: Model, run: Run | Sequence[Run], library: Any = None, reference: Run | Sequence[Run] | None = None
+    model: Model, run: Run | Sequence[Run], reference: Run | Sequence[Run] | None = None
 ) -> tuple[Record, list[str]]:
     """Bind a model to what is sound of one run or several, which stay `whole` in the record; return it with remarks.
-
-    A library other than the compiled core comes with models that predict features only: their runs are taken as they
-    are.
 
     Raises:
         SoftmapError: as `clean_run` and `record_of`.
     """
     given = list(run) if isinstance(run, Sequence) else [run]
-    if library is not None:
-        return record_of(model, given, library, reference), []
     parts = [clean_run(model, one) for one in given]
     several = reference if isinstance(reference, Sequence) else [] if reference is None else [reference]
-    record = record_of(model, [p.run for p in parts], None, [clean_run(model, one).run for one in several] or None)
+    record = record_of(model, [p.run for p in parts], [clean_run(model, one).run for one in several] or None)
     record.recorded_runs = tuple(without_lost(one)[0] for one in given)
     record.doubts = tuple(dict.fromkeys(text for p in parts for text in p.doubts))
     told = [(f"run {i}: " if len(parts) > 1 else "") + text for i, p in enumerate(parts, 1) for text in p.remarks]
@@ -158,8 +153,7 @@ def commands_not_followed(record: Record, predicted: Floats) -> str | None:
     seen = record.seen.reshape(len(record), -1, 3)[:, record.positions]
     left = seen - predicted.reshape(len(record), -1, 3)[:, record.positions]
     visible = np.asarray(np.isfinite(seen).all(axis=2), np.bool_)
-    rest = np.asarray(getattr(record.model, "rest", np.zeros((1, 3))), float)
-    moved, length = spread(seen, visible), float(np.linalg.norm(rest, axis=1).max())
+    moved, length = spread(seen, visible), float(np.linalg.norm(record.model.rest, axis=1).max())
     if record.replay is not None:
         return None
     expected = record.predict(record.model.chain_names, record.own()[None])[0].reshape(len(record), -1, 3)
@@ -185,9 +179,7 @@ def commands_not_followed(record: Record, predicted: Floats) -> str | None:
 
 def _remembers(record: Record) -> bool:
     """Return whether the model behind a play explains the motion of every run: a memory and no other robot."""
-    for part in getattr(record, "parts", [record]):
-        if not hasattr(record.model, "points_in_mm"):
-            return False
+    for part in record.parts:
         few = part.run.at(part.spread_rows(REMEMBERED))
         points = np.asarray(record.model.points_in_mm(few), float)
         if not memory_share(record.model, few, points, known(few, points)).share > FOLLOWED:
@@ -260,7 +252,7 @@ def _frames(model: Model, run: Run, u: Floats, seen: Floats, visible: Mask) -> I
 
 def _untaught(model: Model, run: Run) -> Mask:
     """Return the frames (K,) at which a learned map extrapolates; none where most frames are such."""
-    coverage = getattr(model, "coverage", None)
+    coverage = model.coverage
     if coverage is None or not isinstance(model.prior, _core.Rod):
         return np.zeros(run.frames, bool)
     outside = np.asarray(coverage.outside(model.effective_commands(run)), np.bool_)

@@ -45,6 +45,7 @@ from softmap_edge.diagnosis.prepare import load_seen
 from softmap_edge.diagnosis.record import Record
 from softmap_edge.diagnosis.separate import mended, next_blocks, refits
 from softmap_edge.diagnosis.wording import OwnMisfit, at_bounds, sentence_of, unconfirmed, verdict_of
+from softmap_edge.model.effect_info import Registry, registry
 from softmap_edge.model.user_effect import hashes
 from softmap_edge.noise.floor import noise_of_runs
 from softmap_edge.noise.memoryless import repeats_of
@@ -53,7 +54,6 @@ from softmap_edge.noise.noise_model import motion_left
 from softmap_edge.run.folds import labelled
 
 Floats = NDArray[np.float64]
-Registry = Mapping[str, dict[str, Any]]
 
 ALONG = "mount.shift_z"  # along the axis of the straight body, where nothing that bends moves it
 
@@ -81,27 +81,27 @@ def conclude(outcome: Outcome, fit: Fit, context: Context) -> dict[str, Any]:
         dict: the fields of a `Diagnosis`, all but its remarks, servos and model.
     """
     fits, problem = outcome.fits, outcome.body.problem
-    record, registry = problem.record, {e["name"]: e for e in problem.record.library.effects()}
+    record, known = problem.record, registry()
     standing = [s for s in outcome.steps if not set(_named(s)) & set(context.demoted)]
-    order = _order(fits, fit, registry)
-    alternatives = _alternatives(outcome, fit, standing, registry, context)
+    order = _order(fits, fit, known)
+    alternatives = _alternatives(outcome, fit, standing, known, context)
     residual = record.seen - fit.predicted - outcome.state.shift
     if record.remapped:  # the map that is solved again cancels parts of what stands in for a family
         ways = (residual, residual - outcome.state.ordinary, record.seen - fit.predicted)
         residual = min(ways, key=record.rms_mm)
     left = replace(unexplained_structure(problem, residual, len(fit.x)), ordinary_mm=_ordinary_mm(outcome) or None)
-    behind = [] if context.masked is None else context.masked.untestable(registry)
+    behind = [] if context.masked is None else context.masked.untestable()
     hidden = [*behind, *context.impossible]
-    hidden += [h for h in not_testable(fits, fit, registry) if h.name not in {b.name for b in hidden}]
+    hidden += [h for h in not_testable(fits, fit) if h.name not in {b.name for b in hidden}]
     dropped = outcome.steps if not standing and context.other is None else []  # all that was found
     moving = problem.noise.moving
     if moving and order:  # what settles late moves at rest too, until it is explained
         moving = motion_left(residual, record.seen, record.positions, record.t_seen, record.state).found
     changes = [one for one in changing(outcome) if not set(one.effects) & set(context.demoted)]
     unknown = bool(moving or changes) or _unknown(outcome, fit, context.own, standing, bool(dropped))
-    findings = [_finding(outcome, fit, name, context, alternatives, unknown, registry) for name in order]
-    faults = tuple(f for f in findings if registry[f.name]["kind"] == "fault")
-    physics = tuple(f for f in findings if registry[f.name]["kind"] != "fault")
+    findings = [_finding(outcome, fit, name, context, alternatives, unknown, known) for name in order]
+    faults = tuple(f for f in findings if known[f.name].is_fault)
+    physics = tuple(f for f in findings if not known[f.name].is_fault)
     error = _error(outcome, order, context.other)
     detected = tuple(_family(outcome, s, context.proof, changes) for s in standing)
     detected += tuple(replace(_family(outcome, s, None, ()), law="unknown", effects=()) for s in dropped)
@@ -116,7 +116,7 @@ def conclude(outcome: Outcome, fit: Fit, context: Context) -> dict[str, Any]:
     if context.own is not None and not changed:
         doubts.insert(0, str(context.own))
     is_open = any(s.answer.open for s in standing)
-    unsure = _physical(alternatives, registry)
+    unsure = _physical(alternatives, known)
     # A limit of the model is none of the run.
     recordable, others = (sum(not h.of_model for h in every) for every in (hidden, context.impossible))
     verdict = verdict_of(
@@ -146,9 +146,9 @@ def conclude(outcome: Outcome, fit: Fit, context: Context) -> dict[str, Any]:
             *mended(faults),
             *refits(context.own),
             *(NextBlock(*one.experiment, one.effects) for one in changes),
-            *next_blocks(alternatives, hidden, registry, order, detected),
+            *next_blocks(alternatives, hidden, known, order, detected),
         ),
-        "made_from": _made_from(outcome, order, context, registry),
+        "made_from": _made_from(outcome, order, context, known),
     }
 
 
@@ -156,10 +156,10 @@ def _named(step: Step) -> tuple[str, ...]:
     return step.answer.law.effects if step.answer.law is not None else ()
 
 
-def _order(fits: Fits, fit: Fit, registry: Registry) -> list[str]:
+def _order(fits: Fits, fit: Fit, known: Registry) -> list[str]:
     """Return the effects of a fit: faults first, then by what they explain."""
     weight = {e: max(fits.share(fit, e), 0.0) for e in fit.effects}
-    return sorted(fit.effects, key=lambda e: (registry[e]["kind"] != "fault", -weight[e], e))
+    return sorted(fit.effects, key=lambda e: (not known[e].is_fault, -weight[e], e))
 
 
 def _unknown(outcome: Outcome, fit: Fit, own: OwnMisfit | None, standing: Sequence[Step], dropped: bool) -> bool:
@@ -226,22 +226,22 @@ def _finding(
     context: Context,
     alternatives: Sequence[Alternative],
     unknown: bool,
-    registry: Registry,
+    known: Registry,
 ) -> Finding:
     """Return what was found of one effect."""
     fits, problem = outcome.fits, outcome.body.problem
     record, other = problem.record, context.other
     sigma = problem.uncertainty(fit, fits.dispersion(fit))
-    is_fault = registry[name]["kind"] == "fault"
-    alike = [e for e in fit.effects if (registry[e]["kind"] == "fault") == is_fault]
+    is_fault = known[name].is_fault
+    alike = [e for e in fit.effects if known[e].is_fault == is_fault]
     total = sum(max(fits.share(fit, e), 0.0) for e in alike)
     step = next((s for s in outcome.steps if name in _named(s)), None)
     numbers = parameters(record, fit, sigma, (name,))
     certificate = None if context.proof is None else context.proof.effects.get(name)
     return Finding(
         name=name,
-        family=step.family.name if step else str(registry[name]["family"]),
-        stage=str(registry[name]["stage"]),
+        family=step.family.name if step else known[name].family,
+        stage=known[name].stage,
         params=numbers,
         displacement_mm=Displacement(
             record.rms_mm(fits.displacement(fit, name)),
@@ -273,11 +273,11 @@ def _probability(
     return 1.0 / (1.0 + odds)
 
 
-def _physical(alternatives: Sequence[Alternative], registry: Registry) -> bool:
+def _physical(alternatives: Sequence[Alternative], known: Registry) -> bool:
     """Whether an alternative, or a law of its family, is physics and no fault of the measurement."""
     members = {family.name: family.members for family in families()}
-    laws = (name for a in alternatives for name in a.effects or members.get(a.family, ()) if name in registry)
-    return any(registry[name]["kind"] != "fault" for name in laws)
+    laws = (name for a in alternatives for name in a.effects or members.get(a.family, ()) if name in known)
+    return any(not known[name].is_fault for name in laws)
 
 
 def _ordinary_mm(outcome: Outcome) -> float:
@@ -288,7 +288,7 @@ def _ordinary_mm(outcome: Outcome) -> float:
 
 
 def _alternatives(
-    outcome: Outcome, fit: Fit, standing: Sequence[Step], registry: Registry, context: Context
+    outcome: Outcome, fit: Fit, standing: Sequence[Step], known: Registry, context: Context
 ) -> list[Alternative]:
     """Return what cannot be excluded: laws and families that reach as far, and what looks alike by its form."""
     found: list[Alternative] = []
@@ -315,7 +315,7 @@ def _alternatives(
         named = _named(step)
         add(Alternative(tuple(e for e in fit.effects if e not in named), why, named[0] if named else "", family))
     for member in fit.effects:
-        for twin, why in _twins(outcome.fits, fit, member, registry, context.impossible):
+        for twin, why in _twins(outcome.fits, fit, member, known, context.impossible):
             add(Alternative(tuple(twin if e == member else e for e in fit.effects), why, member))
     if context.own is not None and fit.effects:
         found.insert(0, Alternative(tuple(context.own.names), str(context.own), next(iter(fit.effects))))
@@ -343,13 +343,13 @@ def _why(theirs: Floats, mine: Floats) -> str:
 
 
 def _twins(
-    fits: Fits, fit: Fit, member: str, registry: Registry, impossible: Sequence[Untestable]
+    fits: Fits, fit: Fit, member: str, known: Registry, impossible: Sequence[Untestable]
 ) -> list[tuple[str, str]]:
     """Return effects that look like a member under the conditions of the run, and why they cannot be excluded."""
     record, found = fits.problem.record, []
     never = {h.name for h in impossible}
-    for twin in (*equivalents(record, member, registry), *_unbased(record, fit, member, registry, never)):
-        by = registry[member]["alike"].get(twin) or registry[twin]["alike"].get(member)
+    for twin in (*equivalents(record, member), *_unbased(record, fit, member, known, never)):
+        by = known[member].alike.get(twin) or known[twin].alike.get(member)
         why = f"{twin} and {member} look alike under the conditions of this run"
         if twin in fit.effects or twin not in (*fits.candidates, *never):
             continue
@@ -367,7 +367,7 @@ def _twins(
     return found
 
 
-def _unbased(record: Record, fit: Fit, member: str, registry: Registry, never: set[str]) -> list[str]:
+def _unbased(record: Record, fit: Fit, member: str, known: Registry, never: set[str]) -> list[str]:
     """Return effects that the model does not have and that look like a member where no point of the base is seen.
 
     Nothing that bends a body moves it along its axis.
@@ -375,7 +375,7 @@ def _unbased(record: Record, fit: Fit, member: str, registry: Registry, never: s
     lifted = abs(fit.params.get(ALONG, 0.0)) > rule.VISIBLE_MM
     if lifted or all(base is not None for base in record.bases):
         return []
-    return [twin for twin, by in registry[member]["alike"].items() if by == "base" and twin in never]
+    return [twin for twin, by in known[member].alike.items() if by == "base" and twin in never]
 
 
 def _error(outcome: Outcome, order: Sequence[str], other: Record | None) -> ErrorLadder:
@@ -399,7 +399,7 @@ def _error(outcome: Outcome, order: Sequence[str], other: Record | None) -> Erro
     )  # fmt: skip
 
 
-def _made_from(outcome: Outcome, order: Sequence[str], context: Context, registry: Registry) -> dict[str, Any]:
+def _made_from(outcome: Outcome, order: Sequence[str], context: Context, known: Registry) -> dict[str, Any]:
     from softmap_edge.version import __version__
 
     problem, other = outcome.body.problem, context.other
@@ -413,7 +413,7 @@ def _made_from(outcome: Outcome, order: Sequence[str], context: Context, registr
         "reference": None if record.replay is None else asdict(record.replay),
         "residual": None if context.masked is None else asdict(context.masked),
         "frames": len(record),
-        "robot": getattr(record.model, "robot", None),
+        "robot": record.model.robot,
         "own_effects": list(record.model.chain_names),
         "python_effects": hashes([*record.model.chain_names, *outcome.fits.candidates]),
         "candidates": outcome.fits.candidates,
@@ -422,5 +422,5 @@ def _made_from(outcome: Outcome, order: Sequence[str], context: Context, registr
         "noise_of_points_mm": noise_of_runs(record.recorded_runs),
         "inflation": problem.noise.inflation,
         "modes": len(problem.whitener.form),
-        "references": {name: registry[name]["reference"] for name in order},
+        "references": {name: known[name].reference for name in order},
     }

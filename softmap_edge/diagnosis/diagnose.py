@@ -28,7 +28,7 @@ from softmap_edge.diagnosis.clean import clean_record, commands_not_followed
 from softmap_edge.diagnosis.conclusion import Context, conclude
 from softmap_edge.diagnosis.decision import ORDINARY, UNKNOWN_TIMES, VISIBLE_MM
 from softmap_edge.diagnosis.document import Diagnosis, with_error
-from softmap_edge.diagnosis.evidence import detectability, equivalents, experiment, unseen
+from softmap_edge.diagnosis.evidence import detectability, equivalents, unseen
 from softmap_edge.diagnosis.findings import Number, plain
 from softmap_edge.diagnosis.fit import Fit, Problem
 from softmap_edge.diagnosis.fits import Fits, carried
@@ -43,6 +43,7 @@ from softmap_edge.diagnosis.taught import TaughtRuns, with_unknown
 from softmap_edge.diagnosis.wording import OwnMisfit
 from softmap_edge.diagnosis.wrong_declarations import strange, wrong_load, wrong_sign
 from softmap_edge.errors import SoftmapError
+from softmap_edge.model.effect_info import registry
 from softmap_edge.model.learned_in import LearnedNumber
 from softmap_edge.model.servo_calibration import converted
 from softmap_edge.model.training_range import BEYOND
@@ -71,7 +72,6 @@ def diagnose(
     held_out: Run | None = None,
     effects: Sequence[str] | None = None,
     progress: Callable[[str], None] | None = None,
-    library: Any = None,
     reference: Run | Sequence[Run] | None = None,
 ) -> Diagnosis:
     """Find out which effect a model lacks.
@@ -83,7 +83,6 @@ def diagnose(
         held_out: an independent run of another kind; effects without which the error there is lower are dropped.
         effects: names of the candidates; all of the registry by default.
         progress: hears one line per stage.
-        library: where effects come from; the compiled core by default.
         reference: a run of the same commands that stands for the model's own error (paired replay): what acts alike
             in both cancels out, and every error is relative to it. Several, where runs (or `held_out`) play other
             commands: each takes the one whose commands agree.
@@ -96,9 +95,8 @@ def diagnose(
         SoftmapError: too few frames, unknown effects, a run of another robot, a reference of other commands.
     """
     _apart(run, held_out, reference)
-    record, remarks = clean_record(model, run, library, reference)
-    registry = {e["name"]: e for e in record.library.effects()}
-    candidates, impossible = candidates_of(record, registry, effects)
+    record, remarks = clean_record(model, run, reference)
+    candidates, impossible = candidates_of(record, effects)
     fixed = excluded(record.recorded_runs, record.bases, _reach(record), max(VISIBLE_MM, ORDINARY * motion_mm(record)))
     candidates = [name for name in candidates if name not in fixed]
     remarks += [text for name, text in fixed.items() if effects is None or name in effects]
@@ -106,7 +104,7 @@ def diagnose(
     problem, outcome = _searched(record, candidates, progress, teacher)
     held = teacher.hidden(record, candidates)
     candidates, impossible = [n for n in candidates if n not in {h.name for h in held}], [*impossible, *held]
-    other = None if held_out is None else _validation(model, held_out, library, reference)
+    other = None if held_out is None else _validation(model, held_out, reference)
     fit = outcome.fit
     demoted: list[str] = []
     if other is not None:
@@ -127,7 +125,7 @@ def diagnose(
     if gone is None:
         loaded = any(run.load is not None and np.any(run.load) for run in record.recorded_runs)
         if strange(plain(values), loaded):
-            error, again = outcome.fits.held_out_mm(fit), partial(_again, model, candidates=candidates, library=library)
+            error, again = outcome.fits.held_out_mm(fit), partial(_again, model, candidates=candidates)
             gone = wrong_sign(record, error, again) or wrong_load(record, error, again)
     if gone is not None:
         fit, values = outcome.plain.null, _named_nothing(values, "measurement_fault", gone)
@@ -142,12 +140,12 @@ def diagnose(
     remarks += [str(teacher)] if teacher.runs else []
     values["next"] = (*(teacher.next(values["effects"]) if record.remapped else ()), *values["next"])
     whole = [converted(model, run) for run in record.recorded_runs]
-    remarks += [] if library is not None else missing_data(whole, len(record), problem.noise.replicates)
-    encoded = [run for run in whole if run.present is not None] if library is None else []
+    remarks += missing_data(whole, len(record), problem.noise.replicates)
+    encoded = [run for run in whole if run.present is not None]
     behind = servos(encoded[0], [*candidates, *record.model.chain_names]) if encoded else []
     found = with_error(found, values["effects"])
     return Diagnosis(
-        **values, learned_in=getattr(model, "learned_in", ()), servo=tuple(behind), remarks=tuple(remarks), model=found
+        **values, learned_in=model.learned_in, servo=tuple(behind), remarks=tuple(remarks), model=found
     )  # fmt: skip
 
 
@@ -170,7 +168,7 @@ def _apart(run: Run | Sequence[Run], held_out: Run | None, reference: Run | Sequ
         raise SoftmapError("the reference is the run itself, so nothing differs; give a recording of before the change")
 
 
-def refit(model: Model, run: Run | Sequence[Run], library: Any = None) -> tuple[Model, dict[str, Any]]:
+def refit(model: Model, run: Run | Sequence[Run]) -> tuple[Model, dict[str, Any]]:
     """Fit a model's own effects again to a run, with a number for each channel where that is far better.
 
     Returns:
@@ -182,7 +180,7 @@ def refit(model: Model, run: Run | Sequence[Run], library: Any = None) -> tuple[
     own = tuple(model.chain_names)
     if not own:
         raise SoftmapError("the model has no effects to refit; `softmap diagnose` finds out which it lacks")
-    record, _ = clean_record(model, run, library)
+    record, _ = clean_record(model, run)
     problem = problem_of(record, list(own))
     space = problem.space(own, free=own)
     now = space.scaled(record.own()[space.free])
@@ -215,12 +213,12 @@ def _relearned(model: Model, numbers: Mapping[str, Number]) -> Model:
     fresh = [LearnedNumber(label, n.value, n.sigma or 0.0, n.unit, n.at_bound) for label, n in numbers.items()]
     records = [
         replace(one, params=tuple(n for n in fresh if n.label.split(".")[0] == one.name) or one.params).to_dict()
-        for one in getattr(model, "learned_in", ())
+        for one in model.learned_in
     ]
     return replace(model, made_from={**model.made_from, "learned_in": records}) if records else model
 
 
-def showing(model: Model, run: Run, library: Any = None) -> list[dict[str, Any]]:
+def showing(model: Model, run: Run) -> list[dict[str, Any]]:
     """Say, before any fit, which effects would show in a run: how large each is at mid-range against the noise.
 
     Returns:
@@ -231,9 +229,8 @@ def showing(model: Model, run: Run, library: Any = None) -> list[dict[str, Any]]
     Raises:
         SoftmapError: as `diagnose`.
     """
-    record, _ = clean_record(model, run, library)
-    registry = {e["name"]: e for e in record.library.effects()}
-    candidates, impossible = candidates_of(record, registry, None)
+    record, _ = clean_record(model, run)
+    candidates, impossible = candidates_of(record, None)
     problem = problem_of(record, candidates)
     seen = {name: detectability(problem, name) for name in candidates}
     size = {name: float(np.linalg.norm(white)) for name, (_, white) in seen.items()}
@@ -241,14 +238,14 @@ def showing(model: Model, run: Run, library: Any = None) -> list[dict[str, Any]]
     rows: list[tuple[Any, ...]] = [(h.name, False, None, None, h.why, [], h.experiment, h.minutes) for h in impossible]
     for name, (moved, white) in seen.items():
         why = unseen(moved, size[name])
-        twins = equivalents(record, name, registry)
+        twins = equivalents(record, name)
         for other in candidates if why is None else ():
             product = size[name] * size[other]
             if other != name and product > 0 and abs(float(white @ seen[other][1])) > ALIKE * product:
                 twins += [other] if other not in twins else []
-        rows.append((name, why is None, moved, size[name], why, twins, *experiment(registry, name)))
+        rows.append((name, why is None, moved, size[name], why, twins, *registry()[name].experiment))
     found = {row[0]: dict(zip(keys, row)) for row in rows}
-    return [found[name] for name in registry if name in found]
+    return [found[name] for name in registry() if name in found]
 
 
 def _searched(
@@ -279,16 +276,16 @@ def _shared(fit: Fit) -> dict[str, float]:
     return {label: value for label, value in fit.params.items() if "@" not in label}
 
 
-def _again(model: Model, runs: Sequence[Run], candidates: Sequence[str], library: Any) -> float:
+def _again(model: Model, runs: Sequence[Run], candidates: Sequence[str]) -> float:
     """Return the held-out error mm that a search leaves on other runs."""
-    outcome = search(problem_of(record_of(model, runs, library), candidates), candidates)
+    outcome = search(problem_of(record_of(model, runs), candidates), candidates)
     return outcome.plain.held_out_mm(outcome.plain.get(outcome.fit.effects, outcome.fit.space.split))
 
 
-def _validation(model: Model, held_out: Run, library: Any, reference: Run | Sequence[Run] | None) -> Record:
+def _validation(model: Model, held_out: Run, reference: Run | Sequence[Run] | None) -> Record:
     """Return the run that nothing is fitted to, relative to a reference if the others are."""
     try:
-        return clean_record(model, held_out, library, reference)[0]
+        return clean_record(model, held_out, reference)[0]
     except SoftmapError as fault:
         if reference is None:
             raise
@@ -308,7 +305,7 @@ def _extrapolated(record: Record, outcome: Outcome) -> str | None:
 
     It does where the other frames show it too: by far more than the model's own error.
     """
-    coverage = getattr(record.model, "coverage", None)
+    coverage = record.model.coverage
     if coverage is None or record.replay is not None or not isinstance(record.model.prior, _core.Rod):
         return None
     outside = np.asarray(coverage.outside(record.command), np.bool_)
@@ -343,7 +340,7 @@ def _own_misfit(record: Record) -> OwnMisfit | None:
     """Return what the effects that the model has already would reach with other numbers, if that is much."""
     if not record.model.chain_names:
         return None
-    report = refit(record.model, record.recorded_runs, record.library)[1]
+    report = refit(record.model, record.recorded_runs)[1]
     before, after = report["before_rms_mm"], report["after_held_out_rms_mm"]
     return OwnMisfit(tuple(record.model.chain_names), before, after) if after <= OWN_FALL * before else None
 

@@ -78,7 +78,7 @@ class Diagnosis:
         return {"schema": SCHEMA} | {f.name: plain(getattr(self, f.name)) for f in fields(self) if f.name != "model"}
 
     @classmethod
-    def from_dict(cls, document: Mapping[str, Any]) -> Diagnosis:
+    def from_dict(cls, document: Mapping[str, object]) -> Diagnosis:
         """Return the diagnosis of a document.
 
         Raises:
@@ -144,7 +144,7 @@ class Diagnosis:
         """Return the fitted parameters of one effect, all of them and none beyond its bounds."""
         params, chain = self.params_of(name), _core.Chain([name], model.channels)
         values = valued(chain, params, np.full(len(chain.labels), np.nan))
-        ranges = ranges_of(model, _core, chain)
+        ranges = ranges_of(model, chain)
         for i, (value, low, high) in enumerate(zip(values, ranges.low, ranges.limit)):
             room = 1e-6 * (high - low)
             known = readings(chain.labels[i], chain.group_labels[i])

@@ -10,8 +10,7 @@ tests/diagnosis/test_diagnosis.py and tests/diagnosis/test_evidence.py.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
-from typing import Any
+from collections.abc import Collection, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +20,7 @@ from softmap_edge.diagnosis.findings import Bin, Rung, Unexplained, Untestable
 from softmap_edge.diagnosis.fit import Fit, Problem
 from softmap_edge.diagnosis.fits import Fits
 from softmap_edge.diagnosis.record import Record
+from softmap_edge.model.effect_info import registry
 from softmap_edge.noise.noise_model import scaled_commands
 from softmap_edge.run.conditions import cells, last_direction, orientations
 
@@ -34,7 +34,7 @@ STATIC_RIDGE = 0.03  # of a static residual, for each frame that trains it
 Errors = tuple[float, float, tuple[Rung, ...], float, tuple[float, ...]]
 
 
-def equivalents(record: Record, name: str, registry: Mapping[str, dict[str, Any]]) -> list[str]:
+def equivalents(record: Record, name: str) -> list[str]:
     """Return the effects of the registry, tried or not, whose form this run cannot distinguish from that of `name`."""
     resolved = {
         "orientation": orientations(record.state.gravity) > 1,
@@ -43,18 +43,13 @@ def equivalents(record: Record, name: str, registry: Mapping[str, dict[str, Any]
         "base": True,  # asked where an effect is named (`conclusion._twins`)
         "never": False,
     }
-    known = {twin: by for twin in registry if (by := registry[twin]["alike"].get(name)) is not None}
-    known |= {twin: by for twin, by in registry[name]["alike"].items() if twin in registry}
+    effects = registry()
+    known = {twin: by for twin, info in effects.items() if (by := info.alike.get(name)) is not None}
+    known |= effects[name].alike
     return [twin for twin, by in known.items() if not resolved[by]]
 
 
-def experiment(registry: Mapping[str, dict[str, Any]], name: str) -> tuple[str, float]:
-    """Return what to record so that an effect shows itself, and the minutes that takes."""
-    block, minutes = registry[name]["experiment"]
-    return str(block), float(minutes)
-
-
-def not_testable(fits: Fits, fit: Fit, registry: dict[str, dict[str, Any]]) -> list[Untestable]:
+def not_testable(fits: Fits, fit: Fit) -> list[Untestable]:
     """Return the candidates outside the fit whose signature at a typical strength this run does not show."""
     problem, found = fits.problem, []
     for name in fits.candidates:
@@ -63,7 +58,7 @@ def not_testable(fits: Fits, fit: Fit, registry: dict[str, dict[str, Any]]) -> l
         moved, white = detectability(problem, name)
         why = unseen(moved, float(np.linalg.norm(white)) / np.sqrt(fits.dispersion(fit)))
         if why is not None:
-            found.append(Untestable(name, why, *experiment(registry, name)))
+            found.append(Untestable(name, why, *registry()[name].experiment))
     return found
 
 
@@ -220,7 +215,7 @@ def by_condition(record: Record, residual: Floats) -> dict[str, tuple[Bin, ...]]
             b for i, s in enumerate(sections) for b in row(str(int(s)), None, None, len(record), squares[:, i])
         )
     }
-    for name, cell_row in cells(record.state, getattr(record.model, "command_unit", "mm")).items():
+    for name, cell_row in cells(record.state, record.model.command_unit).items():
         bins = [b for c in cell_row for b in row(c.label, c.low, c.high, int(c.frames.sum()), squares[c.frames])]
         found[name] = tuple(bins)
     return found

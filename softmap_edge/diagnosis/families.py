@@ -20,6 +20,7 @@ from softmap_edge import _core
 from softmap_edge.diagnosis import decision as rule
 from softmap_edge.diagnosis.fit import Fit, Problem
 from softmap_edge.diagnosis.record import SLOPE, Record
+from softmap_edge.model.effect_info import registry
 
 Floats = NDArray[np.float64]
 Commands = list[Floats]  # effective commands (T, C) of each run
@@ -138,15 +139,15 @@ class FeatureBody:
 
     def __init__(self, problem: Problem, candidates: Sequence[str]) -> None:
         self.problem, self.record, self.candidates = problem, problem.record, set(candidates)
-        self.parts: list[Record] = list(getattr(self.record, "parts", [self.record]))
+        self.parts: list[Record] = list(self.record.parts)
         every = np.concatenate([part.u for part in self.parts])
         low, high = every.min(axis=0), every.max(axis=0)
         self.middle, self.half = 0.5 * (low + high), np.maximum(0.5 * (high - low), 1e-6)
         self.step = np.maximum(SLOPE * self.record.spread, 1e-3)
         self.weights = np.ascontiguousarray(problem.gain * problem.whitener.project.T)
-        self.own = [e["name"] for e in self.record.library.effects() if e["own"]]  # a user's, of any family
+        self.own = [info.name for info in registry().values() if info.own]  # a user's, of any family
         self.ordinary_mm = 0.0  # ordinary static imperfections of the robot, RMS, apart from what was found
-        self.free_map = isinstance(getattr(self.record.model, "prior", None), _core.Rod)  # learned from logs
+        self.free_map = isinstance(self.record.model.prior, _core.Rod)  # learned from logs
         self.learned = [f for f in families() if f.name in MAPPED and self.record.remapped]
         self._signatures: dict[str, Floats] = {}
 
@@ -157,7 +158,7 @@ class FeatureBody:
         names, params = fit.space.names, fit.space.params(fit.x[None])[0]
         out = []
         for part, column in zip(self.parts, self.record.layout(names).columns):
-            chain, run = self.record.library.Chain(list(names), part.u.shape[1]), part.run
+            chain, run = _core.Chain(list(names), part.u.shape[1]), part.run
             own = np.ascontiguousarray(params[column][: len(chain.labels)])
             t = np.asarray(run.t, float)
             rows = chain.rollout(
@@ -288,7 +289,7 @@ class FeatureBody:
             return np.asarray(record.predict(layout.names, row[None])[0] - base)
 
         alone = {i: moved(i, null) for i in mine}
-        channel = next(e["role"] for e in record.library.effects() if e["name"] == name) == "channel"
+        channel = registry()[name].on_commands
         amounts = [i for i in mine if np.abs(alone[i]).max() > 1e-9]
         places = [i for i in mine if i not in amounts]
         rows = []

@@ -10,12 +10,14 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from softmap_edge import _core
 from softmap_edge.diagnosis.evidence import at_bound
 from softmap_edge.diagnosis.findings import Number, Refitted
 from softmap_edge.diagnosis.fit import Fit
 from softmap_edge.diagnosis.fits import Fits
 from softmap_edge.diagnosis.record import Record
 from softmap_edge.diagnosis.spools import RADIUS
+from softmap_edge.model.effect_info import effects_that
 
 Floats = NDArray[np.float64]
 
@@ -29,23 +31,23 @@ def parameters(
     case has its `meaning` in words.
     """
     values, bound = fit.space.values(fit.x), at_bound(fit)
-    in_commands = {e["name"] for e in record.library.effects() if e["role"] == "channel"}
+    in_commands = effects_that("channel")
     found = {}
     for j, i in enumerate(fit.space.free):
         label, unit = fit.space.labels[i], fit.space.units[i]
         if label.split(".")[0] not in names or fit.space.declared[j] != declared:
             continue
-        if unit == "g" and not getattr(record.model, "stiffness_known", True):
+        if unit == "g" and not record.model.structure.stiffness_known:
             unit = "of the model's own load scale"  # grams would be a claim without ground
         if label.split(".")[0] in in_commands:
-            unit = unit.replace("mm", getattr(record.model, "command_unit", "mm"))
+            unit = unit.replace("mm", record.model.command_unit)
         meaning = None
         if fit.space.integer[j]:
-            chain = record.library.Chain([label.split(".")[0]], record.model.channels)
+            chain = _core.Chain([label.split(".")[0]], record.model.channels)
             meaning = dict(zip(chain.labels, chain.meanings([fit.params[own] for own in chain.labels])))[label] or None
         found[label] = Number(float(values[j]), float(sigma[j]), unit, bool(bound[j]), meaning)
     if declared and record.spool is not None and RADIUS in fit.space.labels and RADIUS.split(".")[0] in names:
-        unit = getattr(record.model, "command_unit", "mm")
+        unit = record.model.command_unit
         found[RADIUS] = Number(fit.params[RADIUS], record.spool.sigma, unit, False, None)
     return found
 
@@ -65,7 +67,7 @@ def refitted(fits: Fits, fit: Fit, sigma: Floats, name: str) -> Refitted | None:
         squares[test] = (record.seen[test] - prediction[test]) ** 2
     error = np.sqrt(np.nanmean(squares, axis=0))
     if record.replay is not None:  # what is missed on the reference too is still missed
-        own = [np.ravel(part.model.run_form_error(part.run)) for part in getattr(record, "parts", [record])]
+        own = [np.ravel(part.model.run_form_error(part.run)) for part in record.parts]
         error = np.maximum(error, np.sqrt(np.mean(np.square(own), axis=0)))
     return Refitted(changes, tuple(map(float, error)))
 

@@ -161,7 +161,7 @@ def capped_at_events(loss: Floats, before: Floats, fit: Fit, effects: Sequence[s
     record, loss = fit.problem.record, loss.copy()
     for instant in fit.space.values(fit.x)[fit.space.of(effects) & fit.space.instant]:
         for i, (_, test) in enumerate(fit.problem.folds):
-            since = record.t_seen[test] - float(getattr(record, "parts", [record])[0].run.t[0])
+            since = record.t_seen[test] - float(record.parts[0].run.t[0])
             if np.min(np.abs(since - instant)) <= 2.0 * GAP:
                 loss[i] = min(loss[i], before[i])
     return loss

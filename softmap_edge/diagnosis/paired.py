@@ -112,7 +112,7 @@ def _meet(record: Record, reference: Record) -> tuple[Replay, Floats, Floats]:
     base = _without(reference, absent)
     missed = _read(at, reference.t_seen, reference.seen - base)
     replay = Replay(
-        reference.recorded_runs[0].hash(), shift, differ, share, getattr(record.model, "command_unit", "mm"),
+        reference.recorded_runs[0].hash(), shift, differ, share, record.model.command_unit,
         int(met.sum()), absent,
     )  # fmt: skip
     return replay, missed, _form_left(record, reference, missed)
@@ -143,7 +143,7 @@ def _check_points(record: Record, reference: Record) -> None:
             f"the reference run shows {reference.features} features a frame, this run {record.features}; both must be "
             "seen in the same way (vertices, or the same markers)"
         )
-    rests = [getattr(r.run, "marker_rest", None) for r in (record, reference)]
+    rests = [r.run.marker_rest for r in (record, reference)]
     if rests[0] is not None and rests[1] is not None:
         apart = float(np.abs(np.asarray(rests[0], float) - np.asarray(rests[1], float)).max(initial=0.0))
         if apart > 1.0:
@@ -172,7 +172,7 @@ def _differ(
     share = apart / np.maximum(np.where(span > 1e-9, span, span.max(initial=0.0)), 1e-9)
     worst = int(np.argmax(share))
     if not share[worst] <= AGREE:
-        unit = getattr(record.model, "command_unit", "mm")
+        unit = record.model.command_unit
         raise SoftmapError(
             f"the reference run does not play the commands of this run: channel {worst} differs by "
             f"{apart[worst]:.3g} {unit} RMS, {100 * share[worst]:.2g} % of its range, allowed are {100 * AGREE:g} %; "

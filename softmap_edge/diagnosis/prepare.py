@@ -6,52 +6,49 @@ Pinned by tests/diagnosis/test_diagnosis.py and tests/diagnosis/test_fit.py.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from softmap_edge.diagnosis.evidence import experiment
 from softmap_edge.diagnosis.findings import Untestable
 from softmap_edge.diagnosis.fit import Problem
 from softmap_edge.diagnosis.record import Record
 from softmap_edge.errors import SoftmapError, no_effect
+from softmap_edge.model.effect_info import registry
 from softmap_edge.noise.memoryless import repeats_of
 from softmap_edge.noise.noise_model import Noise, command_kernel, form_covariance, measure_noise, rod_noise, whitener
 from softmap_edge.run.conditions import orientations
 from softmap_edge.run.folds import LEAST_FRAMES
-from softmap_edge.run.output import acts_on_outputs, needs_time
 
 Floats = NDArray[np.float64]
 
 SIGNATURE_FRAMES = 150  # frames on which the span of the signatures is found
 
 
-def candidates_of(
-    record: Record, registry: dict[str, dict[str, Any]], wanted: Sequence[str] | None
-) -> tuple[list[str], list[Untestable]]:
-    """Return the effects of a registry, or those `wanted`, that can be looked for in a run, and why the others cannot.
+def candidates_of(record: Record, wanted: Sequence[str] | None) -> tuple[list[str], list[Untestable]]:
+    """Return all effects, or those `wanted`, that can be looked for in a run, and why the others cannot.
 
     Raises:
         SoftmapError: an unknown effect, or none that is left.
     """
-    unknown = [name for name in wanted or () if name not in registry]
+    known = registry()
+    unknown = [name for name in wanted or () if name not in known]
     if unknown:
-        raise SoftmapError(no_effect(unknown[0], registry))
-    names = [n for n in registry if (wanted is None or n in wanted) and n not in record.model.chain_names]
+        raise SoftmapError(no_effect(unknown[0], known))
+    names = [n for n in known if (wanted is None or n in wanted) and n not in record.model.chain_names]
     if record.model.output is not None and wanted is None:
-        names = [n for n in names if acts_on_outputs(registry[n])]
+        names = [n for n in names if known[n].on_outputs]
     if not names:
         raise SoftmapError("no effect is left to look for: the model already has every candidate")
-    lawless = [n for n in names if registry[n]["role"] == "prior" and record.model.missing_for(n)]
+    lawless = [n for n in names if known[n].role == "prior" and record.model.missing_for(n)]
     if wanted is None:  # a law that the prior does not have is no question, unless it is asked
         names = [n for n in names if n not in lawless]
     impossible = []
     for name in names:
-        missing = record.missing(registry[name].get("needs", []))
-        if record.model.channels == 0 and (registry[name]["role"] == "channel" or not record.layout((name,)).labels):
+        missing = record.missing(known[name].needs)
+        if record.model.channels == 0 and (known[name].on_commands or not record.layout((name,)).labels):
             impossible.append(Untestable(name, "nothing is commanded in this run", "a run with commands", 1.0))
-        elif needs_time(registry[name]) and any(run.timeless for run in record.recorded_runs):
+        elif known[name].needs_time and any(run.timeless for run in record.recorded_runs):
             impossible.append(
                 Untestable(name, "the log has no time", "the same moves, the time of each row logged", 1.0)
             )
@@ -70,7 +67,7 @@ def candidates_of(
             why = "clouds of a round finger do not show what it does about its own axis"
             impossible.append(Untestable(name, why, "the same moves with markers or a texture on the finger", 1.0))
         elif missing:
-            block, minutes = experiment(registry, name)
+            block, minutes = known[name].experiment
             absent = ", ".join(missing)
             impossible.append(
                 Untestable(name, f"the run does not declare {absent}", f"{block}; {absent} declared", minutes)
@@ -78,7 +75,7 @@ def candidates_of(
     if record.model.kind == "rod" and {"gravity", "payload"} <= set(names) and orientations(record.state.gravity) == 1:
         # A rod's fields bend its own centreline by one unknown compliance: own weight and tip load differ by less than
         # its form error, and a tilt of gravity is an offset. The simpler member stands for the family.
-        block, minutes = experiment(registry, "gravity")
+        block, minutes = known["gravity"].experiment
         impossible.append(
             Untestable("gravity", "in one orientation a rod cannot distinguish it from payload", block, minutes)
         )
@@ -128,7 +125,7 @@ def load_seen(record: Record) -> Floats | None:
     """Return the declared loads (K,) g at the frames, 0 in runs that declare none; None if no run does."""
     if record.load is None:
         return None
-    parts = getattr(record, "parts", [record])
+    parts = record.parts
     return np.concatenate(
         [
             np.zeros(p.frames)

@@ -14,11 +14,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from softmap_edge import _core
 from softmap_edge.alignment.base_motion import FRAME, BaseMotion, base_of, bounded
 from softmap_edge.diagnosis.paired import Replay, pair
 from softmap_edge.diagnosis.spools import RADIUS, Spool, spool_of, with_radius
 from softmap_edge.errors import SoftmapError
-from softmap_edge.model.chain_labels import differing, named
+from softmap_edge.model.chain_labels import differing
+from softmap_edge.model.effect_info import effects_that
 from softmap_edge.model.parameter_layout import Layout, layout_of, ranges_of
 from softmap_edge.model.servo_calibration import converted
 from softmap_edge.model.views import laid
@@ -26,6 +28,7 @@ from softmap_edge.run.conditions import Conditions, conditions
 from softmap_edge.run.plane import unmeasured_parameters
 
 if TYPE_CHECKING:
+    from softmap_edge.model.model import Model
     from softmap_edge.run.run import Run
 
 Floats = NDArray[np.float64]
@@ -48,23 +51,21 @@ class Record:
     remapped: bool = False  # whether a learned static map is solved again with every law
     static: Floats | None = None  # (K, F) mm, what the model's residual is here: it is taken out, `model` is without it
 
-    def __init__(self, model: Any, run: Run, library: Any = None, reference: Run | Sequence[Run] | None = None) -> None:
-        """Bind a model to a run; `library` has `Chain(names, channels)` and `effects()` (the compiled core).
+    def __init__(self, model: Model, run: Run, reference: Run | Sequence[Run] | None = None) -> None:
+        """Bind a model to a run.
 
         With a `reference` that plays the same commands (one of several), what the model misses there is taken off what
         is seen.
         """
-        if library is None:
-            from softmap_edge import _core as library
-        adapted = getattr(model, "residual", None) is not None
-        self.model, self.library = model.with_residual(None) if adapted else model, library
+        adapted = model.residual is not None
+        self.model = model.with_residual(None) if adapted else model
         self.recorded_runs: tuple[Run, ...] = (run,)
         self.replay: Replay | None = None
         self.bases: tuple[BaseMotion | None, ...] = (base_of(model, converted(model, run), reference),)
         self._bind(run)
         if reference is not None:
             several = reference if isinstance(reference, Sequence) else [reference]
-            self.replay, missed, form = pair(self, [Record(model, one, library) for one in several])
+            self.replay, missed, form = pair(self, [Record(model, one) for one in several])
             met = np.isfinite(missed).any(axis=1)
             if not met.all():
                 self._bind(self.run.at(met))
@@ -82,7 +83,7 @@ class Record:
         some = np.isfinite(seen).any(axis=(1, 2))
         if len(some) and not some.any():
             raise SoftmapError(
-                f"none of the {len(some)} frames shows enough of '{getattr(model, 'robot', 'the robot')}': a section "
+                f"none of the {len(some)} frames shows enough of '{model.robot}': a section "
                 "counts where six of its points are seen, a marker where it is seen; look at `visible`"
             )
         if not some.all():
@@ -104,6 +105,11 @@ class Record:
         self.block: NDArray[Any] | None = run.block
         self.roll_seen = not laid(run)
         self.across = unmeasured_parameters(run)  # of a run whose markers lie in a plane
+
+    @property
+    def parts(self) -> Sequence[Record]:
+        """The record of each run."""
+        return [self]
 
     @property
     def begins(self) -> NDArray[np.intp]:
@@ -185,9 +191,9 @@ class Record:
         apart = self._differing.union(split).intersection(names)
         key = (tuple(names), runs, apart)
         if key not in self._layouts:
-            chain = self.library.Chain(list(names), self.model.channels)
-            ranges = ranges_of(self.model, self.library, chain)
-            made = layout_of(names, chain, self._changes(names), ranges, runs, self._within, apart)
+            chain = _core.Chain(list(names), self.model.channels)
+            ranges = ranges_of(self.model, chain)
+            made = layout_of(names, chain, self.model.changes(names), ranges, runs, self._within, apart)
             made = bounded(made, self.bases)
             self._layouts[key] = made if self.spool is None else with_radius(made, self.spool)
         return self._layouts[key]
@@ -195,8 +201,7 @@ class Record:
     @cached_property
     def _differing(self) -> frozenset[str]:
         """The model's own effects in which channels have different numbers."""
-        chain = self.library.Chain(list(self.model.chain_names), self.model.channels)
-        return differing(chain, np.asarray(self.model.chain_params))
+        return differing(self.model.chain, np.asarray(self.model.chain_params))
 
     def full(self, names: Sequence[str], params: Floats) -> Floats:
         """Return the full sets (B, N) of parameter sets of the layout of `names`; full sets unchanged."""
@@ -208,14 +213,9 @@ class Record:
         begin, end = (float(self.t_seen[i] - self.run.t[0]) for i in (0, -1)) if self.frames else (0.0, 0.0)
         return begin + ENDS * (end - begin), end - ENDS * (end - begin)
 
-    def _changes(self, names: Sequence[str]) -> list[Any]:
-        """Return the numbers of the prior that are open with a chain of `names`; most priors have none."""
-        changes = getattr(self.model, "changes", None)
-        return [] if changes is None else list(changes(names))
-
-    def _models(self, names: Sequence[str], params: Floats) -> list[tuple[Any, NDArray[np.intp], Floats]]:
+    def _models(self, names: Sequence[str], params: Floats) -> list[tuple[Model, NDArray[np.intp], Floats]]:
         """Return the models that sets (B, P) ask for: each with its rows and their parameters of the chain."""
-        changes = self._changes(names)
+        changes = self.model.changes(names)
         if not changes:
             return [(self.model, np.arange(len(params)), np.ascontiguousarray(params))]
         count = params.shape[1] - len(changes)
@@ -230,19 +230,17 @@ class Record:
 
     def own(self) -> Floats:
         """Return the parameters (L,) of the model's own effects in their layout."""
-        chain = self.library.Chain(list(self.model.chain_names), self.model.channels)
         layout = self.layout(self.model.chain_names)
-        return layout.values(named(chain, np.asarray(self.model.chain_params)), layout.null)
+        return layout.values(self.model.params, layout.null)
 
     def own_values(self) -> dict[str, float]:
         """Return the same by label."""
         return dict(zip(self.layout(self.model.chain_names).labels, map(float, self.own())))
 
     @cached_property
-    def _inputs(self) -> dict[str, Any]:
-        """The run as the model's core takes it, for models that have one."""
-        inputs = getattr(self.model, "inputs", None)
-        return {} if inputs is None else {"inputs": inputs(self.run)}
+    def _inputs(self) -> _core.Inputs:
+        """The run as the core takes it."""
+        return self.model.inputs(self.run)
 
     def predict(self, names: Sequence[str], params: Floats) -> Floats:
         """Return predicted features (B, K, F) mm for parameter sets (B, L) of the layout of `names`, or full (B, N)."""
@@ -251,7 +249,7 @@ class Record:
         out = np.empty((len(params), self.frames, self.features))
         for model, rows, sets in self._models(names, params):
             for i in range(0, len(rows), chunk):
-                part = model.predict_features(tuple(names), sets[i : i + chunk], self.run, **self._inputs)
+                part = model.predict_features(tuple(names), sets[i : i + chunk], self.run, self._inputs)
                 out[rows[i : i + chunk]] = np.reshape(part, (len(part), self.frames, self.features))
         return out
 
@@ -260,19 +258,18 @@ class Record:
 
         Tables give the forms at once, at a fraction of the price. What senses moves points, and knows no forms.
         """
-        through = getattr(self.model, "through", None)
-        forms = None if through is None else through(weights, self.run)
-        senses = {e["name"] for e in self.library.effects() if e["role"] == "sensing"}
+        forms = self.model.through(weights, self.run)
+        senses = effects_that("sensing")
 
         def predict(names: Sequence[str], params: Floats) -> Floats:
-            if forms is None or self._changes(names) or not senses.isdisjoint(names):
+            if forms is None or self.model.changes(names) or not senses.isdisjoint(names):
                 return np.asarray(self.predict(names, params) @ weights)
             sets, chunk = (
                 np.ascontiguousarray(self.full(names, params)),
                 max(1, CHUNK // max(1, self.frames * weights.shape[1])),
             )
             parts = [
-                self.model.predict_forms(forms, names, sets[i : i + chunk], **self._inputs)
+                self.model.predict_forms(forms, names, sets[i : i + chunk], self._inputs)
                 for i in range(0, len(sets), chunk)
             ]
             return (parts[0] if len(parts) == 1 else np.concatenate(parts))[..., : weights.shape[1]]
@@ -281,7 +278,7 @@ class Record:
 
     # --- measures -------------------------------------------------------------------------------
 
-    def rms_mm(self, difference: Floats, frames: NDArray[Any] | None = None) -> float:
+    def rms_mm(self, difference: Floats, frames: NDArray[np.generic] | None = None) -> float:
         """Return the RMS distance in mm over the places of feature differences (K, F)."""
         squares = self.squares(difference)
         return float(np.sqrt(np.nanmean(squares if frames is None else squares[frames])))
@@ -305,7 +302,7 @@ class Record:
     def frame_mm(self) -> float:
         """RMS error of the points from the uncertainty of the alignment's frame (`frame_sigma`), mm."""
         sigma = self.run.frame_sigma
-        if sigma is None or "mount" not in {e["name"] for e in self.library.effects()}:
+        if sigma is None:
             return 0.0
         own = tuple(self.model.chain_names)
         names = own if "mount" in own else (*own, "mount")

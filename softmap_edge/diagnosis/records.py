@@ -22,6 +22,7 @@ from softmap_edge.model.parameter_layout import Layout
 from softmap_edge.run.conditions import Conditions
 
 if TYPE_CHECKING:
+    from softmap_edge.model.model import Model
     from softmap_edge.run.run import Run
 
 Floats = NDArray[np.float64]
@@ -32,23 +33,21 @@ APART = 60.0  # s between the runs: none is within a gap of another
 class Records(Record):
     """Several runs of one robot, one after the other."""
 
-    def __init__(
-        self, model: Any, runs: Sequence[Run], library: Any = None, reference: Run | Sequence[Run] | None = None
-    ) -> None:
+    def __init__(self, model: Model, runs: Sequence[Run], reference: Run | Sequence[Run] | None = None) -> None:
         """Bind a model to several runs, each of which plays the commands of a `reference` if there is any.
 
         Raises:
             SoftmapError: the runs are not seen in the same way.
         """
         self._layouts = {}
-        parts = [Record(model, run, library, reference) for run in runs]
+        parts = [Record(model, run, reference) for run in runs]
         kinds = [(part.features, len(part.positions)) for part in parts]
         if len(set(kinds)) > 1:
             raise SoftmapError(
                 f"the runs show {', '.join(str(n) for _, n in kinds)} features a frame; runs that are diagnosed "
                 "together must be seen in the same way, so diagnose them apart"
             )
-        self.model, self.library = model, parts[0].library
+        self.model = model
         replays = [p.replay for p in parts if p.replay is not None]
         self.replay = max(replays, key=lambda r: r.share, default=None)
         met = list(dict.fromkeys(str(r.run) for r in replays))
@@ -60,7 +59,7 @@ class Records(Record):
 
     def _join(self, parts: list[Record]) -> None:
         """Put the frames of runs one after the other."""
-        self.parts = parts
+        self._parts = parts
         self.frames, self.features = sum(part.frames for part in parts), parts[0].features
         self.seen = np.concatenate([part.seen for part in parts])
         self.command = np.concatenate([part.command for part in parts])
@@ -81,6 +80,11 @@ class Records(Record):
         self.t_seen = np.concatenate(begins)
         labels = [part.block for part in parts]
         self.block = None if any(b is None for b in labels) else np.concatenate([np.asarray(b) for b in labels])
+
+    @property
+    def parts(self) -> Sequence[Record]:
+        """The record of each run."""
+        return self._parts
 
     @property
     def begins(self) -> NDArray[np.intp]:
@@ -168,9 +172,7 @@ class Records(Record):
         return predict
 
 
-def record_of(
-    model: Any, run: Run | Sequence[Run], library: Any = None, reference: Run | Sequence[Run] | None = None
-) -> Record:
+def record_of(model: Model, run: Run | Sequence[Run], reference: Run | Sequence[Run] | None = None) -> Record:
     """Return one run, or several, as a fit sees them; relative to a `reference` if one is given.
 
     Raises:
@@ -180,5 +182,5 @@ def record_of(
     if not runs:
         raise SoftmapError("no run is given; a diagnosis needs at least one")
     if len(runs) == 1:
-        return Record(model, runs[0], library, reference)
-    return Records(model, runs, library, reference)
+        return Record(model, runs[0], reference)
+    return Records(model, runs, reference)

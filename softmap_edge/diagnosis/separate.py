@@ -9,15 +9,12 @@ Pinned by tests/diagnosis/test_separate.py.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
-from typing import Any
+from collections.abc import Collection, Sequence
 
-from softmap_edge.diagnosis.evidence import experiment
 from softmap_edge.diagnosis.families import families, home
 from softmap_edge.diagnosis.findings import Alternative, FamilyFinding, Finding, NextBlock, Untestable
 from softmap_edge.diagnosis.wording import OwnMisfit
-
-Registry = Mapping[str, dict[str, Any]]
+from softmap_edge.model.effect_info import Registry
 
 REFIT = "`softmap refit` on this run, then diagnose again"
 
@@ -77,7 +74,7 @@ def next_blocks(
         other = next((e for e in one.effects if e not in named), one.member)
         asked = one.member or other
         if asked in registry:
-            add(*experiment(registry, asked), (one.member, other))
+            add(*registry[asked].experiment, (one.member, other))
     for item in hidden:
         add(item.experiment, item.minutes, (item.name,))
     return [NextBlock(block, minutes, tuple(settles)) for block, (minutes, settles) in blocks.items()]

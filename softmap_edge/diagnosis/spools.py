@@ -39,12 +39,12 @@ class Spool:
 
 def spool_of(model: Any, runs: Sequence[Run]) -> Spool | None:
     """Return the radius of the spools of a robot; None if neither its calibration nor every run gives it."""
-    calibration: Calibration | None = getattr(model, "calibration", None)
+    calibration = model.calibration
     if calibration is not None and calibration.unit == model.command_unit:
         return _calibrated(calibration)
     declared = [spool_radius(run.extra) for run in runs]
     radii = np.array([radius for radius in declared if radius is not None])
-    if not len(runs) or len(radii) < len(runs) or getattr(model, "command_unit", "mm") != "mm":
+    if not len(runs) or len(radii) < len(runs) or model.command_unit != "mm":
         return None
     if np.ptp(radii) > ALIKE * radii.mean():
         return None

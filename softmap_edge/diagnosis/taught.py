@@ -47,7 +47,7 @@ class TaughtRuns:
     @classmethod
     def by(cls, model: Model, runs: Sequence[Run]) -> TaughtRuns:
         """Find which runs taught a model; none of them if it was not learned from runs."""
-        made_from = getattr(model, "made_from", {})
+        made_from = model.made_from
         if not made_from.get("runs"):
             return cls(count=len(runs))
         numbers = tuple(i for i, run in enumerate(runs, 1) if model.taught_by(run))
@@ -105,7 +105,7 @@ def with_unknown(model: Model, values: Mapping[str, Any], teacher: TaughtRuns) -
     The error of a learned model is part of its noise, and such a memory is part of this error. In the runs that taught
     the model a family that was found with a fixed map does not count: `learn` solved the map again with each of them.
     """
-    unknown = next((one for one in getattr(model, "learned_in", ()) if not one.name), None)
+    unknown = next((one for one in model.learned_in if not one.name), None)
     silent = values["verdict"] in ("nothing", "cannot_tell")
     lawless = values["verdict"] == "partly_explained" and not values["effects"] and not values["faults"]
     if unknown is None or not (silent or (lawless and teacher.all)):

@@ -61,7 +61,7 @@ def wrong_sign(record: Record, error: float, again: Callable[[Sequence[Run]], fl
     Args:
         record: what was diagnosed. error: what it leaves, mm RMS held out. again: what a search leaves on other runs.
     """
-    runs = [part.run for part in getattr(record, "parts", [record])]
+    runs = [part.run for part in record.parts]
     if record.replay is not None or any(run.gravity is None for run in runs):
         return None
     first = {s: _left(record, [_turned(_thin(run), s) for run in runs]) for s in SIGNS}
@@ -81,11 +81,11 @@ def wrong_sign(record: Record, error: float, again: Callable[[Sequence[Run]], fl
 
 def wrong_load(record: Record, error: float, again: Callable[[Sequence[Run]], float]) -> str | None:
     """Say so where another size of the declared loads leaves a smaller held-out error; arguments as above."""
-    runs = [part.run for part in getattr(record, "parts", [record])]
+    runs = [part.run for part in record.parts]
     if record.replay is not None or not any(run.load is not None and np.any(run.load) for run in runs):
         return None
     thin = [_thin(run) for run in runs]
-    whole, bare = (record_of(record.model, those, record.library) for those in (thin, [_loaded(r, 0.0) for r in thin]))
+    whole, bare = (record_of(record.model, those) for those in (thin, [_loaded(r, 0.0) for r in thin]))
     off, shift = (
         np.nan_to_num(whole.seen - declared.predict(record.model.chain_names, declared.own()[None])[0])
         for declared in (whole, bare)
@@ -121,7 +121,7 @@ def _thin(run: Run) -> Run:
 
 def _left(record: Record, runs: list[Run]) -> float:
     """Return what a model leaves of runs, mm RMS, with whatever weight at the tip."""
-    other = record_of(record.model, runs, record.library)
+    other = record_of(record.model, runs)
     own, names = record.model.chain_names, tuple(dict.fromkeys((*record.model.chain_names, "payload")))
     off = other.seen - other.predict(own, other.own()[None])[0]
     layout = other.layout(names)

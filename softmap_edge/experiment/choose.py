@@ -23,7 +23,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 from softmap_edge.diagnosis.document import Diagnosis
-from softmap_edge.diagnosis.evidence import DETECTABLE, experiment
+from softmap_edge.diagnosis.evidence import DETECTABLE
 from softmap_edge.diagnosis.separate import separating
 from softmap_edge.errors import SoftmapError
 from softmap_edge.experiment.blocks import Block, plan
@@ -82,7 +82,6 @@ def next_experiment(
     diagnosis: Diagnosis,
     runs: Sequence[Run],
     limits: Limits | None = None,
-    library: Any = None,
     progress: Callable[[float], None] | None = None,
     references: Sequence[Run] = (),
 ) -> list[Experiment]:
@@ -93,7 +92,6 @@ def next_experiment(
         diagnosis: what was found; its rivals and what was not testable are the questions.
         runs: the runs that it was made from; without any, each block is judged for itself, with mid-range parameters.
         limits: of the robot; three quarters of the model's range by default.
-        library: where effects come from; the compiled core by default.
         progress: hears the share that is done.
         references: the runs that the diagnosis is relative to, if it is; then a block counts as played in both states.
 
@@ -107,7 +105,7 @@ def next_experiment(
     if model.channels == 0:
         raise SoftmapError("the model takes no commands, so no block of commands can settle anything")
     limits = limits or Limits.of(model.command_range, model.command_unit)
-    world = Outcomes(model, diagnosis, list(runs), library, references)
+    world = Outcomes(model, diagnosis, list(runs), references)
     found = []
     blocks = world.blocks(limits) if world.questions else []
     for i, block in enumerate(blocks):
@@ -171,7 +169,7 @@ def _rest(world: Outcomes, questions: Sequence[OpenQuestion]) -> list[Experiment
     for question in sorted(questions, key=lambda q: q.families is None):
         apart = None if question.families is None else separating(*question.families)
         for name in question.names:
-            text, minutes = apart or experiment(world.registry, name)
+            text, minutes = apart or world.registry[name].experiment
             answers = ((question, 0.0),) if question in tried else ()
             row = rows.setdefault(text, Experiment(text, minutes, [], None, answers=answers))
             row.settles.extend([name] if name not in row.settles else [])

@@ -28,6 +28,7 @@ from softmap_edge.diagnosis.records import record_of
 from softmap_edge.diagnosis.separate import families_of
 from softmap_edge.errors import SoftmapError
 from softmap_edge.experiment.blocks import BLOCKS, Block, Setting, plan
+from softmap_edge.model.effect_info import Registry, registry
 from softmap_edge.noise.noise_model import FLOOR, Noise
 from softmap_edge.run.protocol import Limits, Protocol
 from softmap_edge.run.run import Run
@@ -60,18 +61,12 @@ class OpenQuestion:
 class Outcomes:
     """What a diagnosis left open, and what each answer would look like in a block that is not recorded yet."""
 
-    def __init__(
-        self, model: Model, diagnosis: Diagnosis, runs: list[Run], library: Any, references: Sequence[Run] = ()
-    ) -> None:
-        sound_only = library is None
-        if library is None:
-            from softmap_edge import _core as library
-        self.model, self.library = model, library
-        self.registry: dict[str, dict[str, Any]] = {e["name"]: e for e in library.effects()}
+    def __init__(self, model: Model, diagnosis: Diagnosis, runs: list[Run], references: Sequence[Run] = ()) -> None:
+        self.model, self.registry = model, registry()
         _check(model, diagnosis, runs, self.registry, references)
         self.paired = diagnosis.made_from.get("reference") is not None
-        self.runs = runs = [clean_run(model, run).run for run in runs] if sound_only else runs
-        self.references = [clean_run(model, run).run for run in references] if sound_only else [*references]
+        self.runs = runs = [clean_run(model, run).run for run in runs]
+        self.references = [clean_run(model, run).run for run in references]
         known = [e.name for e in (*diagnosis.effects, *diagnosis.faults)]
         self.found = tuple(name for name in self.registry if name in known)
         asked = _questions(diagnosis, self.found, tuple(model.chain_names))
@@ -80,13 +75,13 @@ class Outcomes:
         sets = list(dict.fromkeys([self.found, *(q.other for q in self.questions if q.hidden is None)]))
         self.hidden = [q.hidden for q in self.questions if q.hidden is not None]
         self.setting = Setting.after(runs, model.gravity_reference)
-        self.bare = _blank_record(model, self.setting, library)
-        self.old = record_of(model, _thinned(runs), library, self.references or None) if runs else None
+        self.bare = _blank_record(model, self.setting)
+        self.old = record_of(model, _thinned(runs), self.references or None) if runs else None
         named = [n for n in self.registry if any(n in s for s in sets) or n in self.hidden]
         self.names = [n for n in named if not model.missing_for(n)]
         self.params: dict[tuple[str, ...], dict[str, float]] = {}
         if runs:
-            whole = record_of(model, runs, library, self.references or None)
+            whole = record_of(model, runs, self.references or None)
             problem = problem_of(whole, [n for n in self.names if self.declared(n)])
             fitted = Fits(problem, [n for n in self.names if self.declared(n)])
             fits = {key: fitted.get(key) for key in sets}
@@ -101,7 +96,7 @@ class Outcomes:
 
     def blocks(self, limits: Limits) -> list[Block]:
         """Return the blocks that the robot can do and that could matter."""
-        needed = {field for name in self.names for field in self.registry[name].get("needs", [])}
+        needed = {field for name in self.names for field in self.registry[name].needs}
         return [
             b
             for b in BLOCKS.values()
@@ -112,9 +107,9 @@ class Outcomes:
         """Return the separation of each question in a block that `changes` a condition."""
         run = _blank(self.model, made, self.runs[0] if self.runs else None, self.setting)
         own = [run] if self.paired else []  # the block is played in the state of the reference too
-        new = Record(self.model, run, self.library, own or None)
+        new = Record(self.model, run, own or None)
         parts = [] if self.old is None else [self.old]
-        joint = record_of(self.model, [*_thinned(self.runs), run], self.library, [*self.references, *own] or None)
+        joint = record_of(self.model, [*_thinned(self.runs), run], [*self.references, *own] or None)
         problem = problem_of(joint, [n for n in self.names if self._predicted(n, [*parts, new])], self.noise)
         alone = _Linear(
             self, problem_of(new, [n for n in self.names if not new.missing(self.needs(n))], self.noise), [new]
@@ -148,12 +143,12 @@ class Outcomes:
         theirs = [e for e in question.other if e not in question.one]
         if len(mine) != 1 or len(theirs) != 1:
             return True
-        by = self.registry[mine[0]]["alike"].get(theirs[0]) or self.registry[theirs[0]]["alike"].get(mine[0])
+        by = self.registry[mine[0]].alike.get(theirs[0]) or self.registry[theirs[0]].alike.get(mine[0])
         return by is None or by == changes
 
     def _shows(self, name: str, changes: str) -> bool:
         """Whether a block that `changes` a condition can show an effect, which may need another orientation."""
-        by = set(self.registry[name]["alike"].values())
+        by = set(self.registry[name].alike.values())
         return by != {"orientation"} or changes == "orientation"
 
     def _apart(self, problem: Problem, parts: list[Record], true: tuple[str, ...], tried: tuple[str, ...]) -> float:
@@ -236,7 +231,7 @@ class Outcomes:
         return dict(zip(layout.labels, map(float, layout.middle)))
 
     def needs(self, name: str) -> list[str]:
-        return list(self.registry[name].get("needs", []))
+        return list(self.registry[name].needs)
 
     def _predicted(self, name: str, parts: Sequence[Record]) -> bool:
         return not any(part.missing(self.needs(name)) for part in parts)
@@ -307,9 +302,7 @@ def _between(diagnosis: Diagnosis, alternative: Alternative) -> tuple[str, str] 
     return (own, other) if own and other and own != other else None
 
 
-def _check(
-    model: Model, diagnosis: Diagnosis, runs: Sequence[Run], registry: Mapping[str, Any], references: Sequence[Run]
-) -> None:
+def _check(model: Model, diagnosis: Diagnosis, runs: Sequence[Run], known: Registry, references: Sequence[Run]) -> None:
     made = diagnosis.made_from
     own = made.get("own_effects")
     if isinstance(own, list) and own != list(model.chain_names):
@@ -327,12 +320,12 @@ def _check(
     named = [e.name for e in (*diagnosis.effects, *diagnosis.faults)]
     named += [e for alternative in diagnosis.alternatives for e in alternative.effects]
     named += [row.name for row in diagnosis.not_testable]
-    unknown = [name for name in named if name not in registry]
+    unknown = [name for name in named if name not in known]
     if unknown:
         raise SoftmapError(f"the diagnosis names '{unknown[0]}', which this library lacks; diagnose again")
 
 
-def _check_references(told: Any, runs: bool, given: list[str]) -> None:
+def _check_references(told: object, runs: bool, given: list[str]) -> None:
     """Refuse other references than those that a diagnosis is relative to; those of its held-out run may come along."""
     if told is None and given:
         raise SoftmapError("the diagnosis is not relative to a reference run; leave --reference out")
@@ -378,12 +371,12 @@ def _blank(model: Model, made: Protocol, like: Run | None, setting: Setting) -> 
     )  # fmt: skip
 
 
-def _blank_record(model: Model, setting: Setting, library: Any) -> Record:
+def _blank_record(model: Model, setting: Setting) -> Record:
     """Return a record of two frames at home, that knows the parameters of any chain."""
     limits = Limits.of(model.command_range, model.command_unit)
     made = plan([BLOCKS["home revisits"]], limits, setting)
     blank = _blank(model, made, None, setting)
-    return Record(model, blank.at([0, 1]), library)
+    return Record(model, blank.at([0, 1]))
 
 
 def _of(params: Mapping[str, float], label: str, rest: Mapping[str, float]) -> float:

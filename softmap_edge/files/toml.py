@@ -28,12 +28,12 @@ _KINDS: dict[type, str] = {
 class TomlTable:
     """A TOML table that remembers what was asked for, so that what nobody asked for can be named."""
 
-    def __init__(self, values: Any, where: str) -> None:
+    def __init__(self, values: object, where: str) -> None:
         if not isinstance(values, dict):
             raise RunError(f"{where}: {kind(values)}, expected a table; examples/trunk.toml shows the form")
         self.values, self.where, self.asked = values, where, list[str]()
 
-    def get(self, key: str, kinds: tuple[type, ...], default: Any = None) -> Any:
+    def get(self, key: str, kinds: tuple[type, ...], default: object = None) -> Any:
         """Return the value of a key, of one of the given kinds."""
         self.asked.append(key)
         if key not in self.values:
@@ -100,12 +100,12 @@ class TomlTable:
             raise RunError(f"{self.where}: {no_name('key', unknown[0], self.asked)}")
 
 
-def kind(value: Any) -> str:
+def kind(value: object) -> str:
     name = _KINDS.get(type(value), type(value).__name__)
     return f"{name} {shown(value)!r}"
 
 
-def shown(value: Any) -> str:
+def shown(value: object) -> str:
     try:
         return str(value)[:40]
     except ValueError:  # python does not print whole numbers of more than 4300 digits
@@ -122,7 +122,7 @@ def _escaped(code: int) -> str:
     return f"\\u{code:04X}" if code <= 0xFFFF else f"\\U{code:08X}"
 
 
-def written(value: Any) -> str:
+def written(value: object) -> str:
     """Return a text, a number or a list of them as TOML writes it."""
     if isinstance(value, list | tuple):
         return f"[{', '.join(map(written, value))}]"

@@ -156,7 +156,7 @@ def _sheet(part: Part, columns: Columns, which: list[int]) -> Sheet:
     if len(which) > MOST_COLUMNS:
         raise RunError(
             f"{part.path}: {len(which)} columns, at most {MOST_COLUMNS} are looked at; name those of the robot "
-            "in a mapping by hand: docs/mapping.md lists its keys"
+            "in a mapping by hand: docs/reference/mapping.md lists its keys"
         )
     bare = [columns.names[k] for k in which]
     if isinstance(columns, TextColumns | HeldColumns):

@@ -5,7 +5,7 @@ and for each suspicious finding.
 Several logs are joined by time. The rows of the log that holds the commands become the rows of the run. Other recorded
 signals are interpolated to their times; frames keep their own times. A row without a command is left out (commands are
 linear between rows); a cell without a value in another column is interpolated.
-tests/test_import*.py pin all of it; docs/mapping.md lists the keys.
+tests/test_import*.py pin all of it; docs/reference/mapping.md lists the keys.
 """
 
 from __future__ import annotations

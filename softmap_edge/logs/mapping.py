@@ -1,6 +1,6 @@
 """The mapping file of an import: which column is what, in which unit, frame and rate; read and checked.
 
-Every key is known: a misspelt one is named with those that exist. docs/mapping.md lists them;
+Every key is known: a misspelt one is named with those that exist. docs/reference/mapping.md lists them;
 examples/trunk.toml shows the form.
 """
 

@@ -271,7 +271,7 @@ def _alike(logs: tuple[Log, ...]) -> tuple[list[Log], list[list[str]]]:
     return [log for log, _ in found.values()], [names for _, names in found.values()]
 
 
-def _described(value: Any) -> str:
+def _described(value: object) -> str:
     """Return all keys of a log in a mapping, as text."""
     if isinstance(value, np.ndarray):
         return str(value.tolist())

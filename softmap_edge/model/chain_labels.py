@@ -10,10 +10,11 @@ else one for each. Pinned by tests/model/test_shared_numbers.py.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from softmap_edge import _core
 
 Floats = NDArray[np.float64]
 
@@ -24,7 +25,7 @@ def readings(label: str, group: str) -> tuple[str, ...]:
     return tuple(dict.fromkeys((label, channel, group)))
 
 
-def grouped(chain: Any) -> dict[str, list[int]]:
+def grouped(chain: _core.Chain) -> dict[str, list[int]]:
     """Return the numbers of each group, as indices into the labels of a chain, by the label of the group."""
     groups: dict[str, list[int]] = {}
     for i, label in enumerate(chain.group_labels):
@@ -32,7 +33,7 @@ def grouped(chain: Any) -> dict[str, list[int]]:
     return groups
 
 
-def named(chain: Any, params: Floats) -> dict[str, float]:
+def named(chain: _core.Chain, params: Floats) -> dict[str, float]:
     """Return parameters (P,) by label: one entry for each group whose numbers are equal, else one for each."""
     found: dict[str, float] = {}
     for label, members in grouped(chain).items():
@@ -43,20 +44,20 @@ def named(chain: Any, params: Floats) -> dict[str, float]:
     return found
 
 
-def valued(chain: Any, params: Mapping[str, float], absent: Floats) -> Floats:
+def valued(chain: _core.Chain, params: Mapping[str, float], absent: Floats) -> Floats:
     """Return parameters (P,) of a chain from a mapping by label; use `absent` (P,) where it has none of them."""
     names = (readings(label, group) for label, group in zip(chain.labels, chain.group_labels))
     found = (next((params[n] for n in known if n in params), rest) for known, rest in zip(names, absent))
     return np.array(list(found), float)
 
 
-def spread(chain: Any, params: Floats) -> Floats:
+def spread(chain: _core.Chain, params: Floats) -> Floats:
     """Return parameters (P,) of a chain from all of them, or from one for each group (G,); others are unchanged."""
     groups = np.unique(chain.tie)
     return params[chain.tie] if params.shape == groups.shape else params
 
 
-def differing(chain: Any, params: Floats) -> frozenset[str]:
+def differing(chain: _core.Chain, params: Floats) -> frozenset[str]:
     """Return the effects of a chain with a group whose numbers in `params` (P,) differ between channels."""
     members = grouped(chain).items()
     return frozenset(group.split(".")[0] for group, some in members if np.any(params[some] != params[some[0]]))

@@ -14,13 +14,19 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from softmap_edge import _core
 from softmap_edge.errors import SoftmapError
 from softmap_edge.model.chain_labels import readings
+from softmap_edge.model.effect_info import effects_that
+
+if TYPE_CHECKING:
+    from softmap_edge.model.elastic_rod import Change
+    from softmap_edge.model.model import Model
 
 Floats = NDArray[np.float64]
 
@@ -103,8 +109,8 @@ def _found(params: Mapping[str, float], label: str, group: str) -> float | None:
 
 def layout_of(
     names: Sequence[str],
-    chain: Any,
-    changes: Sequence[Any],
+    chain: _core.Chain,
+    changes: Sequence[Change],
     ranges: Ranges,
     runs: int,
     seconds: tuple[float, float],
@@ -158,7 +164,7 @@ def layout_of(
     return Layout(tuple(names), labels, groups, units, null, start, low, high, limit, *flags, spread, columns, declared)
 
 
-def _alone(chain: Any, i: int, split: Collection[str]) -> bool:
+def _alone(chain: _core.Chain, i: int, split: Collection[str]) -> bool:
     """Whether a number of a chain is a parameter by itself because its effect is split."""
     return chain.labels[i].split(".")[0] in split and list(chain.tie).count(chain.tie[i]) > 1
 
@@ -170,7 +176,7 @@ def _firsts(labels: Sequence[str]) -> tuple[list[str], list[int], NDArray[np.int
     return list(place), [first[label] for label in place], np.array([place[label] for label in labels], np.intp)
 
 
-def ranges_of(model: Any, library: Any, chain: Any) -> Ranges:
+def ranges_of(model: Model, chain: _core.Chain) -> Ranges:
     """Return the search ranges of a chain's fits on this robot.
 
     Ranges declared in mm of command are for tendons that move by REACH_MM to each side. On a robot with another range,
@@ -178,19 +184,18 @@ def ranges_of(model: Any, library: Any, chain: Any) -> Ranges:
     or to a weight given by its displacement of this body, in the model's own scale of loads.
     """
     half = _half_range(model)
-    in_commands = {e["name"] for e in library.effects() if e["role"] == "channel"}
+    in_commands = effects_that("channel")
     commanded = [
         unit.startswith("mm") and label.split(".")[0] in in_commands for label, unit in zip(chain.labels, chain.units)
     ]
     factor = np.where(commanded, half / REACH_MM, 1.0)
     start, low, high = (factor * np.asarray(x, float) for x in (chain.start, chain.low, chain.high))
-    weight = getattr(model, "weight_per_length", 0.0)
-    farthest = np.maximum(np.asarray(chain.half_ranges) * half, np.asarray(chain.lengths) * weight)
+    farthest = np.maximum(np.asarray(chain.half_ranges) * half, np.asarray(chain.lengths) * model.weight_per_length)
     return Ranges(start, low, high, np.maximum(high, farthest))
 
 
-def _half_range(model: Any) -> float:
+def _half_range(model: Model) -> float:
     """Return half the range of a model's commands, in their unit; REACH_MM if the model has none."""
-    reach = np.asarray(getattr(model, "command_range", np.zeros((0, 2))), float)
+    reach = model.command_range
     half = float(np.median(0.5 * np.ptp(reach, axis=1))) if len(reach) else 0.0
     return half if half > 0 else REACH_MM

@@ -18,7 +18,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -86,7 +85,7 @@ def noise_of_points(run: Run) -> PointNoise | None:
 
     `check` and `compare` report this number: it depends on the run alone.
     """
-    seen = next((s for s in (getattr(run, n, None) for n in ("vertices", "markers")) if s is not None), None)
+    seen = next((s for s in (getattr(run, n) for n in ("vertices", "markers")) if s is not None), None)
     command = commanded(run)
     if seen is None or not command.shape[1] or not len(seen):
         return None
@@ -94,7 +93,7 @@ def noise_of_points(run: Run) -> PointNoise | None:
     return replicates(conditions(run, command), np.where(visible[..., None], seen, 0.0), visible)
 
 
-def noise_of_runs(runs: Sequence[Any]) -> list[float | None]:
+def noise_of_runs(runs: Sequence[object]) -> list[float | None]:
     """Return `noise_of_points` of each run in mm, None where it is not known, for the document of a diagnosis."""
     found = [noise_of_points(run) if isinstance(run, Run) else None for run in runs]
     return [None if one is None else one.mm for one in found]
@@ -102,7 +101,7 @@ def noise_of_runs(runs: Sequence[Any]) -> list[float | None]:
 
 def commanded(run: Run) -> Floats:
     """Return the commands (T, C), in the unit of the run or in ticks: they are constant where encoders flicker."""
-    rows = run.command if run.command is not None else getattr(run, "ticks", None)
+    rows = run.command if run.command is not None else run.ticks
     return np.zeros((len(run.t), 0)) if rows is None else np.asarray(rows, float)
 
 
@@ -138,7 +137,7 @@ def memoryless_floor(run: Run, state: Conditions, seen: Floats, visible: Mask) -
     """
     some = some_points(visible)
     values = np.where(visible[:, some, None], seen[:, some], np.nan).reshape(len(seen), -1)
-    load = getattr(run, "load", None)
+    load = run.load
     return repeats_of(values, state, None if load is None else np.interp(state.time, run.t, load))
 
 

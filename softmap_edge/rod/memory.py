@@ -29,7 +29,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from softmap_edge import _core
+from softmap_edge.model.effect_info import registry
 from softmap_edge.model.learned_in import Alternative, LearnedIn
 from softmap_edge.model.learned_in import Law as Certainty
 from softmap_edge.rod.law import FittedLaw, LawFit, law
@@ -410,7 +410,7 @@ def _numbers(fitted: FittedLaw) -> int:
 
 def _twins(name: str) -> list[str]:
     """Return the effects that no run distinguishes from the effect `name`."""
-    return [effect["name"] for effect in _core.effects() if effect["alike"].get(name) == "never"]
+    return [info.name for info in registry().values() if info.alike.get(name) == "never"]
 
 
 def refined_memory(memory: Memory, seen: ReferenceFrames, static: StaticMap, seed: int) -> Memory:

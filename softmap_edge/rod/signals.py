@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge import _core
+from softmap_edge.model.effect_info import registry
 from softmap_edge.rod.regression import Record
 
 Floats = NDArray[np.float64]
@@ -59,7 +60,7 @@ def families() -> tuple[Family, ...]:
 
     The members of the control are left to the map. A change with time is no memory of a robot and is only reported.
     """
-    on_commands = {effect["name"] for effect in _core.effects() if effect["role"] == "channel" and not effect["needs"]}
+    on_commands = {info.name for info in registry().values() if info.on_commands and not info.needs}
     return tuple(
         Family(one["name"], () if one["name"] in LAWLESS else tuple(m for m in one["members"] if m in on_commands))
         for one in _core.families()

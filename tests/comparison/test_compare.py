@@ -5,9 +5,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from leaning_triangle import AROUND, lean, record, triangle, tube
+from leaning_triangle import AROUND, lean, markers_of, record, triangle, tube
 
-from softmap_edge import builtin_model, diagnose
+from softmap_edge import _core, builtin_model, diagnose
 from softmap_edge.comparison.comparison import Comparison, compare
 from softmap_edge.comparison.series import series
 from softmap_edge.errors import ComparisonError, RunError
@@ -65,7 +65,7 @@ def test_error_of_one_direction_is_found_there_only():
     direction = rows(compare(lean(backward), triangle()), "direction")
     assert set(direction) == {"still", "u0 +", "u0 −"}
     assert direction["u0 −"].rms_mm == pytest.approx(1.5, rel=0.02)
-    assert direction["u0 +"].rms_mm == 0.0 and direction["still"].rms_mm < 0.3
+    assert direction["u0 +"].rms_mm < 1e-12 and direction["still"].rms_mm < 0.3
     assert direction["u0 −"].n == pytest.approx(100, abs=3) and direction["u0 +"].n == pytest.approx(50, abs=3)
 
 
@@ -84,7 +84,7 @@ def test_every_condition_holds_every_frame_once():
 def test_no_two_classes_of_a_condition_bear_one_name():
     """Warmth within a tenth of a degree and a clock that counts since 1970 need more digits than three."""
     run = triangle(temperature=np.linspace(23.11, 23.14, 1251))
-    run.t, run.t_seen = run.t + 1.7e9, run.t_seen + 1.7e9
+    run = replace(run, t=run.t + 1.7e9, t_seen=run.t_seen + 1.7e9)
     for name, row in cells(conditions(run, run.command)).items():
         assert len({cell.label for cell in row}) == len(row), name
         bounds = [cell.label.split(" … ") for cell in row if " … " in cell.label]
@@ -133,13 +133,10 @@ def test_hidden_points_do_not_count():
         return out
 
     run = triangle()
-    run.vertices[:, 0] = np.nan
-    run.visible = np.ones(run.vertices.shape[:2], bool)
-    run.visible[:, 0] = False
-    assert compare(lean(bad), run).error["max_mm"] < 1e-12
-    run.visible = None
-    run.vertices[:, 0] = tube()[0][0]
-    assert compare(lean(bad), run).error["max_mm"] > 50.0
+    hidden, visible = run.vertices.copy(), np.ones(run.vertices.shape[:2], bool)
+    hidden[:, 0], visible[:, 0] = np.nan, False
+    assert compare(lean(bad), replace(run, vertices=hidden, visible=visible)).error["max_mm"] < 1e-12
+    assert compare(lean(bad), run).error["max_mm"] > 49.0
 
 
 @pytest.mark.parametrize("sigma", [0.05, 0.3])
@@ -162,7 +159,7 @@ def test_noise_floor_from_repeated_commands():
 def test_noise_floor_without_replicates_says_so():
     t = np.arange(0, 30.0, 0.02)
     u = np.column_stack([10 * np.sin(t), 8 * np.cos(0.7 * t)])
-    bare = replace(lean(), triangles=np.zeros((0, 3), int))
+    bare = markers_of(lean())
     found = compare(bare, record(t, u, np.arange(0, 29, 0.1), noise=0.1))
     assert found.noise_floor_mm == pytest.approx(np.sqrt(3) * 0.1, rel=0.1)
     assert "no replicates" in found.made_from["noise_floor"] and found.floor_is_bound
@@ -208,8 +205,7 @@ def test_damaged_documents_are_refused(damage):
 
 
 def test_what_cannot_be_compared():
-    run = triangle()
-    run.t_seen, run.vertices = run.t_seen[:0], run.vertices[:0]
+    run = replace(triangle(), t_seen=np.zeros(0), vertices=np.zeros((0, 40, 3)))
     with pytest.raises(ComparisonError, match="nothing to compare"):
         compare(lean(), run)
     run = triangle(visible=np.zeros((250, 40), bool))
@@ -218,24 +214,23 @@ def test_what_cannot_be_compared():
     with pytest.raises(ComparisonError, match="not finite"):
         compare(lean(lambda run, p: np.nan), triangle())
     run = triangle()
-    run.vertices = run.vertices[:, :-1]
-    with pytest.raises(ComparisonError, match=r"\(250, 40, 3\).*\(250, 39, 3\)"):
+    run = replace(run, vertices=run.vertices[:, :-1])
+    with pytest.raises(RunError, match="39 points a frame, this model of .tube. has 40"):
         compare(lean(), run)
 
 
 def test_a_run_without_commands():
     run = triangle()
-    run.command = np.zeros((len(run.t), 0))
-    model = lean()
-    model.predict = lambda run: np.tile(model.rest, (250, 1, 1))
-    found = compare(model, run)
+    run = replace(run, command=np.zeros((len(run.t), 0)))
+    still = _core.Table([], np.zeros((1, 1)), tube()[0].ravel(), np.zeros((1, tube()[0].size)))
+    found = compare(lean().with_structure(prior=still, command_range=np.zeros((0, 2))), run)
     assert [row.label for row in found.where["direction"]] == ["still"]
     assert found.error["max_mm"] == pytest.approx(10.0)
 
 
 def test_markers_are_their_own_sections():
     run, model = triangle(), lean(lambda run, p: 1.0)
-    model = replace(model, triangles=np.zeros((0, 3), int), tip_indices=np.array([39]))
+    model = markers_of(model).with_structure(tip_indices=np.array([39]))
     assert compare(model, run).where["section"][0].label == "marker 1"
     assert series(run, model).triangles is None
 

@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from arm import LIBRARY, Arm, protocol, record_run
+from arm import NAMES, arm, protocol, record_run
 from finger_runs import SOUND, finger_run, named
 
 from softmap_edge import _core
@@ -25,17 +25,17 @@ from softmap_edge.run.run import Run
 
 HIDDEN = {
     "offset": {"offset.shift[0]": 0.9, "offset.shift[1]": -0.9},
-    "gain": {"gain.factor[0]": 0.1, "gain.factor[1]": 0.08},
+    "gain": {"gain.factor[0]": 1.1, "gain.factor[1]": 1.08},
     "latency": {"latency.delay": 0.2},
     "backlash": {"backlash.gap": 1.2},
     "creep": {"creep.strength": 0.2, "creep.tau": 15.0},
     "payload": {"payload.mass": 60.0},
-    "mount": {"mount.x": 1.2, "mount.turn": 0.02},
+    "mount": {"mount.shift_x": 1.2, "mount.turn_y": 1.15},
 }
 
 
 def diagnosed(hidden, model=None, **settings):
-    return diagnose(model or Arm(), record_run(hidden, **settings), library=LIBRARY)
+    return diagnose(model or arm(), record_run(hidden, **settings), effects=NAMES)
 
 
 @pytest.mark.parametrize("name", HIDDEN)
@@ -76,7 +76,7 @@ def test_form_error_is_not_physics(monkeypatch):
         assert not named(found) & {"latency", "backlash", "creep"}
     # For a model with zero model error, on a robot without imperfections, the same error is a discovery.
     monkeypatch.setattr(decision, "ORDINARY", 0.0)
-    assert any(diagnosed({}, Arm(form=1e-3), seed=seed, warp=0.3).families for seed in range(2))
+    assert any(diagnosed({}, arm(form=1e-3), seed=seed, warp=0.3).families for seed in range(2))
 
 
 def test_static_grid_cannot_tell_memory():
@@ -100,7 +100,7 @@ def test_small_effects_are_below_the_floor():
 def test_unknown_effect_is_flagged():
     """Without its true effect among the candidates the leftover is claimed, not hidden behind another name."""
     run = record_run({"creep.strength": 0.45, "creep.tau": 40.0}, seed=4)
-    found = diagnose(Arm(), run, effects=["gain", "payload", "mount"], library=LIBRARY)
+    found = diagnose(arm(), run, effects=["gain", "payload", "mount"])
     assert found.verdict == "partly_explained" and not named(found)
     assert [(f.name, f.law) for f in found.families] == [("creep", "unknown")]
     assert "unknown law of the family creep" in found.sentence
@@ -109,19 +109,19 @@ def test_unknown_effect_is_flagged():
 def test_independent_run_decides():
     hidden = HIDDEN["backlash"]
     run, other = record_run(hidden, seed=8), record_run(hidden, seed=8, other=True)
-    found = diagnose(Arm(), run, other, library=LIBRARY)
+    found = diagnose(arm(), run, other, effects=NAMES)
     assert named(found) == {"backlash"}
     assert found.error.held_out_on == "an independent run"
     assert found.error.after < 0.6 * found.error.before
     assert found.effects[0].displacement_mm.held_out > 0.3
     clean = record_run({}, seed=8, other=True)  # another kind of run on which the play is gone
-    demoted = diagnose(Arm(), run, clean, library=LIBRARY)
+    demoted = diagnose(arm(), run, clean, effects=NAMES)
     assert not named(demoted) and "backlash" in demoted.made_from["demoted"]
     assert "backlash" in demoted.sentence
 
 
 def test_own_effects_are_kept_and_never_added_twice():
-    own = Arm().with_effects(("latency",), {"latency.delay": 0.2})
+    own = arm().with_effects(("latency",), {"latency.delay": 0.2})
     found = diagnosed(HIDDEN["latency"] | HIDDEN["backlash"], own, seed=9)
     assert named(found) == {"backlash"}
     assert set(found.model.chain_names) == {"latency", "backlash"}
@@ -129,12 +129,12 @@ def test_own_effects_are_kept_and_never_added_twice():
 
 
 def test_refit_moves_the_parameters_of_the_model():
-    own = Arm().with_effects(("latency",), {"latency.delay": 0.05})
-    model, report = refit(own, record_run(HIDDEN["latency"], seed=1), LIBRARY)
+    own = arm().with_effects(("latency",), {"latency.delay": 0.05})
+    model, report = refit(own, record_run(HIDDEN["latency"], seed=1))
     assert model.chain_params[0] == pytest.approx(0.2, abs=0.01)
     assert report["after_held_out_rms_mm"] < 0.7 * report["before_rms_mm"]
     with pytest.raises(SoftmapError, match="no effects"):
-        refit(Arm(), record_run({}), LIBRARY)
+        refit(arm(), record_run({}))
 
 
 def test_same_input_same_document_and_round_trip():
@@ -195,16 +195,16 @@ def test_broken_effects_never_reach_a_model(spoil, match, tmp_path):
 
 def test_wrong_use_is_an_error():
     with pytest.raises(SoftmapError, match="no effect 'nonsense'"):
-        diagnose(Arm(), record_run({}), effects=["nonsense"], library=LIBRARY)
+        diagnose(arm(), record_run({}), effects=["nonsense"])
     with pytest.raises(SoftmapError, match="too few"):
-        diagnose(Arm(), record_run({}, frames=5), library=LIBRARY)
+        diagnose(arm(), record_run({}, frames=5), effects=NAMES)
     with pytest.raises(SoftmapError, match="does not name"):
         diagnosed({}).params_of("backlash")
 
 
 def test_rod_frames_count_by_their_correlation():
     """On a rod the error of the form is large and slow: a small true effect is not claimed on it."""
-    rod = replace(Arm(form=0.6), kind="rod")
+    rod = arm(form=0.6, kind="rod")
     t, u = protocol()
     assert named(diagnosed(HIDDEN["backlash"] | {"backlash.gap": 2.5}, rod, t=t, u=u, frames=1000)) == {"backlash"}
     assert not named(diagnosed({}, rod, t=t, u=u, frames=1000))

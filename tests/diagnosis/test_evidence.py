@@ -6,7 +6,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from softmap_edge import _core
 from softmap_edge.diagnosis.decision import ODDS_BASE, ODDS_DOUBT
 from softmap_edge.diagnosis.diagnose import diagnose
 from softmap_edge.diagnosis.evidence import (
@@ -66,13 +65,12 @@ def test_ends_by_nature_are_no_bounds():
 
 def test_an_effect_that_does_nothing_here_cannot_be_tested():
     """Delays show while the robot moves; a run of long dwells hides them, and fitted effects are not tested again."""
-    registry = {e["name"]: e for e in _core.effects()}
     fits = fits_of(lambda u: 1.12 * u, ["gain", "latency"])
-    assert not_testable(fits, fits.null, registry) == []
+    assert not_testable(fits, fits.null) == []
     still = run_of(lambda u: u)
     still = replace(still, command=np.tile([3.0, 2.0], (len(still.t), 1)))
     frozen = Fits(problem_of(Record(builtin_model(), still), ["gain", "latency"]), ["gain", "latency"])
-    hidden = {row.name: row for row in not_testable(frozen, frozen.null, registry)}
+    hidden = {row.name: row for row in not_testable(frozen, frozen.null)}
     assert "too weak to detect" in hidden["latency"].why and hidden["latency"].minutes > 0.0
     record = fits.problem.record
     assert all(record.rms_mm(typical_difference(fits.problem, name)) > 1.0 for name in ("gain", "latency"))
@@ -107,13 +105,12 @@ def test_what_is_alike_by_form_is_no_alternative_where_it_leaves_twice_as_much()
 
 def test_an_orientation_that_no_frame_shows_is_none():
     hanging, leaning = np.tile([0.0, 0.0, 1.0], (9, 1)), np.tile([0.6, 0.0, 0.8], (9, 1))
-    registry = {e["name"]: e for e in _core.effects()}
     alone = SimpleNamespace(
         state=SimpleNamespace(gravity=hanging), gravity=np.vstack([hanging, leaning]), load=None, roll_seen=True
     )
-    assert "gravity" in equivalents(alone, "payload", registry)
+    assert "gravity" in equivalents(alone, "payload")
     both = SimpleNamespace(state=SimpleNamespace(gravity=np.vstack([hanging, leaning])), load=None, roll_seen=True)
-    assert "gravity" not in equivalents(both, "payload", registry)
+    assert "gravity" not in equivalents(both, "payload")
 
 
 def test_a_static_residual_is_trained_where_a_feature_is_seen():

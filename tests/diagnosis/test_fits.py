@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from arm import LIBRARY, Arm, record_run
+from arm import NAMES, arm, record_run
 
 from softmap_edge import builtin_model
 from softmap_edge.diagnosis import fits as fits_module
@@ -12,13 +12,12 @@ from softmap_edge.diagnosis.record import Record
 from softmap_edge.run.protocol import standard_protocol
 from softmap_edge.run.run import Run
 
-NAMES = [e["name"] for e in LIBRARY.effects()]
 HIDDEN = {"backlash.gap": 2.0, "creep.strength": 0.12, "payload.mass": 40.0, "latency.delay": 0.25,
-          "gain.factor[0]": 0.15, "offset.shift[0]": 0.8, "mount.x": 2.0}  # fmt: skip
+          "gain.factor[0]": 1.15, "offset.shift[0]": 0.8, "mount.shift_x": 2.0}  # fmt: skip
 
 
 def arm_fits(hidden):
-    return Fits(problem_of(Record(Arm(), record_run(hidden, noise=0.05, warp=0.0), LIBRARY), NAMES), NAMES)
+    return Fits(problem_of(Record(arm(), record_run(hidden, noise=0.05, warp=0.0)), NAMES), NAMES)
 
 
 def finger_fits(acting, names, noise=0.2):
@@ -44,7 +43,7 @@ def test_the_hidden_effect_fits_best_and_exactly(label):
 
 @pytest.mark.parametrize(
     ("first", "second"),
-    [("backlash.gap", "creep.strength"), ("payload.mass", "latency.delay"), ("gain.factor[0]", "mount.x"),
+    [("backlash.gap", "creep.strength"), ("payload.mass", "latency.delay"), ("gain.factor[0]", "mount.shift_x"),
      ("creep.strength", "payload.mass")],
 )  # fmt: skip
 def test_behind_a_fit_the_other_hidden_effect_fits_best(first, second):
@@ -74,7 +73,7 @@ def test_what_a_member_does_and_its_share_of_what_is_explained():
     alone = fits.problem.record.predict(("payload",), params[None])[0] - fits.null.predicted
     assert np.abs(done - alone).max() < 0.2 * np.abs(alone).max()  # the load has the same effect behind a play
     shares = [fits.share(both, name) for name in both.effects]
-    assert all(0.2 < share < 1.2 for share in shares)  # above 1 if the others do harm without it
+    assert all(0.2 < share < 2.0 for share in shares)  # above 1 if the other does harm without it
     assert fits.share(fits.get(["backlash", "payload", "latency"]), "latency") < 0.02
 
 
@@ -154,5 +153,5 @@ def test_slopes_of_old_fits_are_dropped_and_found_again(monkeypatch):
     held = [fit for fit in map(fits.get, ([name] for name in NAMES)) if "slopes" in fit.__dict__]
     assert len(held) < len(NAMES) and sum(fit.slopes.nbytes for fit in held) <= most
     for name, slopes in known.items():
-        off = 0.02 * np.abs(slopes).max()  # secants carry slopes on
+        off = 0.05 * np.abs(slopes).max()  # secants carry slopes on
         np.testing.assert_allclose(fits.get([name]).slopes, slopes, atol=off)

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from arm import LIBRARY, Arm, record_run
+from arm import NAMES, arm, record_run
 from finger_runs import finger_run
 
 from softmap_edge import builtin_model, diagnose, next_experiment
@@ -54,18 +54,17 @@ def test_a_static_error_of_the_model_goes_away_with_the_reference():
     reference, run = record_run({}, **alike), record_run(PAYLOAD, **alike)
     assert reference.hash() != run.hash()
     again = replace_noise(record_run({}, **alike), 9)
-    paired = diagnose(Arm(), run, library=LIBRARY, reference=reference)
+    paired = diagnose(arm(), run, effects=NAMES, reference=reference)
     assert names(paired) == ["payload"] and paired.verdict == "identified"
     value = paired.effects[0].params["payload.mass"]
     assert abs(value.value - 60.0) < 3 * value.sigma + 0.5
-    alone = diagnose(Arm(), run, library=LIBRARY)
+    alone = diagnose(arm(), run, effects=NAMES)
     assert names(alone) != ["payload"]
-    assert diagnose(Arm(), again, library=LIBRARY, reference=reference).verdict == "nothing"
+    assert diagnose(arm(), again, effects=NAMES, reference=reference).verdict == "nothing"
 
 
 def replace_noise(run, seed):
-    run.features = run.features + 0.05 * np.random.default_rng(seed).normal(size=run.features.shape)
-    return run
+    return replace(run, markers=run.markers + 0.05 * np.random.default_rng(seed).normal(size=run.markers.shape))
 
 
 def test_the_noise_is_that_of_a_difference():
@@ -81,17 +80,17 @@ def test_a_late_start_is_found_and_frames_need_not_meet():
     run = finger_run(["payload"], {"payload.mass": 15.0})
     free = finger_run()
     later = replace(free, t=free.t + 321.4, t_seen=free.t_seen + 321.4)
-    record = Record(MODEL, run, None, later)
+    record = Record(MODEL, run, later)
     assert record.replay.shift_s == pytest.approx(321.4, abs=0.02) and record.replay.share < 0.01
-    straight = Record(MODEL, run, None, free)
+    straight = Record(MODEL, run, free)
     assert straight.replay.shift_s == 0.0 and straight.replay.differ == 0.0
     np.testing.assert_allclose(record.seen, straight.seen, atol=0.05)
     # The reference was seen at other times, and not to the end.
     half = replace(free.at(np.arange(free.frames) < 0.8 * free.frames), block=None)
-    early = Record(MODEL, run, None, half)
+    early = Record(MODEL, run, half)
     assert 0.7 * run.frames < len(early) <= 0.8 * run.frames + 1 and np.isfinite(early.seen).all()
     assert early.recorded_runs == (run,)
-    both = Records(MODEL, [run, run], None, free)
+    both = Records(MODEL, [run, run], free)
     assert len(both) == 2 * run.frames and both.replay.frames == run.frames
 
 
@@ -99,7 +98,7 @@ def test_hidden_points_of_either_run_are_no_numbers():
     run, free = finger_run(), finger_run()
     hidden = np.ones(run.vertices.shape[:2], bool)
     hidden[10, MODEL.rest[:, 2] > 60.0] = False
-    seen = Record(MODEL, run, None, replace(free, visible=hidden)).seen
+    seen = Record(MODEL, run, replace(free, visible=hidden)).seen
     assert np.isfinite(seen[11]).all() and not np.isfinite(seen[10]).all() and np.isfinite(seen[10]).any()
 
 
@@ -128,27 +127,27 @@ def test_the_judge_is_relative_to_a_reference_of_its_own_commands():
     reference, run = record_run({}, seed=4, **alike), record_run(PAYLOAD, seed=4, **alike)
     free, loaded = (record_run(hidden, seed=4, other=True, **alike) for hidden in ({}, PAYLOAD))
     loaded = replace_noise(loaded, 9)
-    found = diagnose(Arm(), run, loaded, library=LIBRARY, reference=[reference, free])
+    found = diagnose(arm(), run, loaded, effects=NAMES, reference=[reference, free])
     error = found.error
     assert names(found) == ["payload"] and error.held_out_on == "an independent run, relative to the reference"
     assert error.before > 1.0 and error.after < 0.15  # 0.05 a coordinate
-    raw = diagnose(Arm(), run, loaded, library=LIBRARY).error
+    raw = diagnose(arm(), run, loaded, effects=NAMES).error
     assert raw.after > 0.3
     with pytest.raises(SoftmapError, match=r"the held-out run needs .* channel . differs by .*--held-out out"):
-        diagnose(Arm(), run, loaded, library=LIBRARY, reference=reference)
+        diagnose(arm(), run, loaded, effects=NAMES, reference=reference)
     with pytest.raises(SoftmapError, match="none of the 2 reference runs stands for this run"):
-        diagnose(Arm(), run, library=LIBRARY, reference=[free, free])
+        diagnose(arm(), run, effects=NAMES, reference=[free, free])
 
 
 def test_what_was_found_relative_to_a_reference_is_not_expected_of_it_again():
     alike = dict(warp=0.3, noise=0.05, seed=4)
     reference, run = record_run({}, **alike), record_run(PAYLOAD, **alike)
-    heavy = Arm().with_effects(("payload",), PAYLOAD)
-    again = diagnose(heavy, run, library=LIBRARY, reference=reference)
+    heavy = arm().with_effects(("payload",), PAYLOAD)
+    again = diagnose(heavy, run, effects=NAMES, reference=reference)
     assert again.verdict == "nothing" and again.made_from["reference"]["absent"] == ("payload",)
     assert "the model's own payload is taken as absent there" in again.sentence
     # In both runs it is expected of both.
-    both = diagnose(heavy, replace_noise(record_run(PAYLOAD, **alike), 9), library=LIBRARY, reference=run)
+    both = diagnose(heavy, replace_noise(record_run(PAYLOAD, **alike), 9), effects=NAMES, reference=run)
     assert both.verdict == "nothing" and both.made_from["reference"]["absent"] == ()
 
 

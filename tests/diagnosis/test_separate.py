@@ -9,8 +9,9 @@ from softmap_edge.diagnosis.separate import families_of, next_blocks, separating
 from softmap_edge.experiment.blocks import BLOCKS
 from softmap_edge.experiment.choose import Experiment, program
 from softmap_edge.experiment.simulate import OpenQuestion
+from softmap_edge.model.effect_info import registry
 
-REGISTRY = {effect["name"]: effect for effect in _core.effects()}
+REGISTRY = registry()
 
 
 @pytest.mark.parametrize(
@@ -56,7 +57,7 @@ def test_the_diagnosis_asks_between_families_before_it_asks_between_laws():
     # An alternative alone, without the list of the family, asks the same; one of the same family asks nothing first.
     assert next_blocks([between], [], REGISTRY, ["backlash"], [family("memory", ("backlash",))])[0] == blocks[0]
     alone = next_blocks([within], [], REGISTRY, ["backlash"], [family("memory", ("backlash",))])
-    assert alone[0].block == REGISTRY["backlash"]["experiment"][0]
+    assert alone[0].block == REGISTRY["backlash"].experiment[0]
 
 
 def experiment(name, questions, minutes=1.0):

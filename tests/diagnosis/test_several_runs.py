@@ -4,10 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from arm import LIBRARY, Arm, record_run
+from arm import arm, record_run
 from finger_runs import finger_run
 
 from softmap_edge import builtin_model, diagnose, refit
+from softmap_edge.alignment.base_motion import FRAME
 from softmap_edge.cli import main
 from softmap_edge.diagnosis.document import Diagnosis
 from softmap_edge.diagnosis.prepare import problem_of
@@ -23,15 +24,15 @@ def turned(run, degrees, shift):
 
 
 def test_several_runs_predict_as_each_alone():
-    runs = [record_run({"gain.factor[0]": 0.1}, seed=s, frames=n) for s, n in ((0, 60), (1, 90))]
-    both = Records(Arm(), runs, LIBRARY)
+    runs = [record_run({"gain.factor[0]": 1.1}, seed=s, frames=n) for s, n in ((0, 60), (1, 90))]
+    both = Records(arm(), runs)
     names = ("gain", "mount")
     labels = both.layout(names).labels
-    assert [label for label in labels if "@" in label] == [f"mount.{n}@2" for n in ("x", "y", "z", "turn")]
+    assert [label for label in labels if "@" in label] == [f"{name}@2" for name in FRAME]
     params = np.random.default_rng(0).normal(size=(3, len(labels))) * 0.1
     found, done = both.predict(names, params), 0
     for k, run in enumerate(runs):
-        alone = record_of(Arm(), run, LIBRARY)
+        alone = record_of(arm(), run)
         own = params[:, both.layout(names).columns[k]]
         np.testing.assert_array_equal(found[:, done : done + len(alone)], alone.predict(names, own))
         done += len(alone)
@@ -41,7 +42,7 @@ def test_several_runs_predict_as_each_alone():
 def test_some_frames_of_runs_are_those_frames_of_all_of_them():
     """Also where one of the runs is so short that evenly spread numbers would miss it."""
     runs = [record_run(seed=s, frames=n) for s, n in ((0, 300), (1, 2), (2, 300))]
-    both, names = Records(Arm(), runs, LIBRARY), ("backlash", "mount")
+    both, names = Records(arm(), runs), ("backlash", "mount")
     rows = both.spread_rows(50)
     few = both.some(rows)
     assert [part.frames for part in few.parts] == [25, 2, 25] and few._within == both._within

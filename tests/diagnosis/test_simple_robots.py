@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from matplotlib.colors import Normalize
 
-from softmap_edge import Run, _core, diagnose, learn_model, load_bundle, save_bundle
+from softmap_edge import Run, diagnose, learn_model, load_bundle, save_bundle
 from softmap_edge.cli import main
 from softmap_edge.comparison.series import series
 from softmap_edge.diagnosis import conclusion
@@ -20,6 +20,7 @@ from softmap_edge.diagnosis.diagnose import refit
 from softmap_edge.diagnosis.findings import Alternative
 from softmap_edge.errors import RunError
 from softmap_edge.experiment.choose import next_experiment
+from softmap_edge.model.effect_info import registry
 from softmap_edge.noise import motion_at_rest
 from softmap_edge.report import figures
 from softmap_edge.rod.learn import learn
@@ -295,9 +296,9 @@ def test_colours_reach_three_times_the_noise(learned, monkeypatch):
 
 
 def test_a_fault_that_physics_may_explain_is_not_the_verdict():
-    registry = {effect["name"]: effect for effect in _core.effects()}
+    known = registry()
     drift, time = Alternative((), "", "camera_drift", "frame drift"), Alternative((), "", "camera_drift", "time")
-    assert not conclusion._physical([drift], registry) and conclusion._physical([drift, time], registry)
+    assert not conclusion._physical([drift], known) and conclusion._physical([drift, time], known)
 
 
 # --- what tests with a finger in a physics engine found --------------------------------------------

@@ -19,6 +19,7 @@ from softmap_edge.diagnosis.separate import next_blocks
 from softmap_edge.errors import SoftmapError
 from softmap_edge.experiment.blocks import BLOCKS, chosen, plan
 from softmap_edge.experiment.choose import SETTLED, program
+from softmap_edge.model.effect_info import registry
 from softmap_edge.robot.drive.command_file import read_commands
 from softmap_edge.run.protocol import Protocol
 
@@ -182,9 +183,9 @@ def test_next_writes_what_to_record_and_says_what_it_settles(ambiguous, tmp_path
 def test_what_is_named_beside_a_rival_is_not_open():
     """A rival set holds the rest of what is named too: only the member and what stands for it are to be settled."""
     other = Alternative(("gain", "latency"), "", "lag")
-    registry = {effect["name"]: effect for effect in _core.effects()}
-    (block,) = next_blocks([other], [], registry, ["gain", "lag"])
-    assert block.settles == ("lag", "latency") and block.block == registry["lag"]["experiment"][0]
+    known = registry()
+    (block,) = next_blocks([other], [], known, ["gain", "lag"])
+    assert block.settles == ("lag", "latency") and block.block == known["lag"].experiment[0]
 
 
 def test_only_the_built_in_robot_is_told_how_to_be_played(tmp_path, capsys):

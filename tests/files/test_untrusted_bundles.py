@@ -177,7 +177,7 @@ def never_run(monkeypatch):
     def run(*_):
         raise AssertionError("onnxruntime was given the graph")
 
-    monkeypatch.setattr(network, "run_elsewhere", run)
+    monkeypatch.setattr(network, "run_onnxruntime", run)
 
 
 @pytest.mark.parametrize("trusted", [False, True])

@@ -17,11 +17,11 @@ from softmap_edge.logs.importer import import_logs, read_mapping
 from softmap_edge.run.run import Run
 
 ROOT = Path(__file__).parents[2]
-PAGE = (ROOT / "docs" / "mapping.md").read_text(encoding="utf-8")
+PAGE = (ROOT / "docs/reference/mapping.md").read_text(encoding="utf-8")
 PAGE_MAP = re.search(r"^```toml\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL)[1]
 
 
-# --- what docs/mapping.md says -------------------------------------------------------------
+# --- what docs/reference/mapping.md says -------------------------------------------------------------
 def test_the_example_of_the_page_brings_markers_into_the_base_frame(tmp_path):
     names = ["stamp", "servo_a", "servo_b"] + [f"m{k}_{axis}" for k in range(1, 6) for axis in "xyz"]
     base = np.array([[0.0, 0.0, 24.0 * k] for k in range(1, 6)]) + [3.0, 5.0, 0.0]  # x, y, z of five markers

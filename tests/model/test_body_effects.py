@@ -173,7 +173,7 @@ def test_a_fit_goes_beyond_what_is_plausible_as_far_as_the_robot_reaches():
 def test_ranges_are_a_share_of_the_commands_in_every_unit(half, unit):
     model = replace(MODEL.with_structure(command_range=np.array([[-half, half]] * 2)), command_unit=unit)
     chain = _core.Chain(["backlash", "lag", "payload"], 2)
-    ranges = ranges_of(model, _core, chain)
+    ranges = ranges_of(model, chain)
     found = dict(zip(chain.group_labels, zip(ranges.start, ranges.low, ranges.high, ranges.limit)))
     assert found["backlash.gap"] == pytest.approx((0.4 * half / 16, 0.04 * half / 16, 4.0 * half / 16, 2.0 * half))
     assert found["lag.tau"] == pytest.approx((0.12, 0.02, 3.0, 3.0))

@@ -6,10 +6,15 @@ import numpy as np
 import pytest
 from effect_paths import T, circle, executed
 
-from softmap_edge import Run, SoftmapError, _core, forget_effect, load_effect
+from softmap_edge import Run, SoftmapError, _core, builtin_model, forget_effect, load_effect
 from softmap_edge.robot.motion.kinematics import REACHED, Kinematics
 
 EXAMPLE = Path(__file__).parents[2] / "examples/off_centre_pulley.py"
+
+
+@pytest.fixture(scope="module")
+def model():
+    return builtin_model()
 
 
 def test_the_tip_is_the_middle_of_its_vertices_and_its_slopes_are_true(model):

@@ -154,7 +154,8 @@ def foreign(curve):
 def bundle(tmp_path, content):
     """Write a bundle whose prior is that file, and return its folder."""
     arrays = dict(BASE.arrays) | {"prior": {"onnx": np.frombuffer(content, np.uint8)}, "fields": {}}
-    model = replace(BASE, kind="network", arrays=arrays, fields={}, cables=None, second=None)
+    bare = BASE.with_structure(fields={}, cables=None, second=None)
+    model = replace(bare, kind="network", arrays=arrays)
     return save_bundle(model, tmp_path / "foreign")
 
 

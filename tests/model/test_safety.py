@@ -161,7 +161,7 @@ def test_a_sweep_made_elsewhere_has_strains_but_no_tension(tmp_path):
     np.savez(tmp_path / "sweep.npz", command=u, vertices=arc(u, *rings(4, 7)), **corners)
     bare, whole = (model_from_file(tmp_path / name).safety for name in ("bare.npz", "sweep.npz"))
     assert bare.tension is None and not bare.simulated and "tensions are not known, nor strains" in bare.assumes
-    assert whole.tension is None and set(whole.simulated) == {"strain"} and "made elsewhere" in whole.assumes
+    assert whole.tension is None and set(whole.simulated) == {"strain"} and "imported sweep" in whole.assumes
     read = load_bundle(save_bundle(model_from_file(tmp_path / "bare.npz"), tmp_path / "bundle")).safety
     assert read == bare
 

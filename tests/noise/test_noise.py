@@ -217,7 +217,7 @@ def chi2(vertices, protocol):
     run = Run(t=protocol.t, command=protocol.command, gravity=protocol.gravity, t_seen=protocol.t_seen,
               block=protocol.block, vertices=vertices, command_unit="mm")  # fmt: skip
     record = Record(builtin_model(), run)
-    names = candidates_of(record, {e["name"]: e for e in record.library.effects()}, None)[0]
+    names = candidates_of(record, None)[0]
     problem = problem_of(record, names)
     return problem.null().chi2 / problem.numbers, noise_of_points(run).mm
 

@@ -131,7 +131,7 @@ def test_the_calibrations_window_and_the_turns_of_a_bench_count():
     np.testing.assert_array_equal(found.calibration.home, [HOME + 8192, HOME - 4096])
     assert found.table()["servos"][0]["high"] == HOME + 8192 + 700, "where the calibration says, whatever home is"
     astray = Rig("/dev/none", BAUD, (RigServo(1, MODEL, HOME + 1500), RigServo(2, MODEL, HOME)))
-    with pytest.raises(ServoError, match=r"servo 1: home of the bench is 3500, .* 1500 ticks apart .* allowed are 269"):
+    with pytest.raises(ServoError, match=r"servo 1: home of the bench is 3500, .* 1500 ticks apart, .* are 269"):
         effective_limits(astray, FINGER, turned(np.eye(2) / 280.0))
 
 
@@ -220,7 +220,7 @@ def test_rig_toml_carries_its_ceiling(tmp_path):
     text = (tmp_path / "rig.toml").read_text()
     for old, new, said in (
         ("[ceiling]", "[ceiling]\nfly = 1", "no key 'fly'"),
-        ("jump = [1.0, 2.0]", "jump = [3.0, 2.0]", "0 ≤ told ≤ refused"),
+        ("jump = [1.0, 2.0]", "jump = [3.0, 2.0]", "0 ≤ warned ≤ refused"),
         ("slew = 5000.75", "slew = 90000.0", "slew = 90000.0, expected 1 to 20000"),
         ("low = -900", "low = 900", "low = 900, expected -1048575 to -1"),
     ):

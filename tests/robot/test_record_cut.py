@@ -83,7 +83,7 @@ def test_what_was_kept_is_read_back_and_to_its_last_whole_line(tmp_path):
         b'{"schema": "softmap.seen/1", "late": 0, "robot": 7}\n',
     ):
         file.write_bytes(bad)
-        with pytest.raises(RunError, match="a.seen: damaged, or not what"):
+        with pytest.raises(RunError, match="a.seen: damaged, or no `.seen` file"):
             read_kept(file)
     with pytest.raises(RunError, match="none.seen: no such file"):
         read_kept(tmp_path / "none.seen")

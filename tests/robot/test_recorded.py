@@ -182,11 +182,11 @@ def test_a_line_that_never_ends_is_no_end(copied):
 def test_what_is_no_file_is_not_waited_for(copied):
     seen_file(copied).unlink()
     os.mkfifo(seen_file(copied))
-    with pytest.raises(RunError, match="o.seen: damaged, or not what"):
+    with pytest.raises(RunError, match="o.seen: damaged, or no `.seen` file"):
         open_run(copied)
     seen_file(copied).unlink()
     seen_file(copied).mkdir()
-    with pytest.raises(RunError, match="o.seen: damaged, or not what"):
+    with pytest.raises(RunError, match="o.seen: damaged, or no `.seen` file"):
         open_run(copied)
 
 

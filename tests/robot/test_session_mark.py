@@ -17,7 +17,7 @@ from softmap_edge.robot.control.controller import Controller
 PROGRAM = """
 import sys, time
 from rigs import *
-from softmap_edge.robot.servo import session_mark
+from softmap_edge.robot.control import session_mark
 from softmap_edge.robot.control.controller import Controller
 session_mark.EMULATED = "none"
 rig = Rig(sys.argv[1], BAUD, tuple(RigServo(id, MODEL, HOME) for id in (1, 2)))

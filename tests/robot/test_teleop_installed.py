@@ -73,7 +73,7 @@ def test_nothing_installed(site):
 def test_a_mediapipe_that_reports_its_use_says_so(site, version, tells):
     site("mediapipe", version)
     found = mediapipe(site.found())
-    assert found.fine and version in found.found and ("tells its maker" in found.found) == tells
+    assert found.fine and version in found.found and ("reports its use" in found.found) == tells
 
 
 def test_libraries_that_cannot_be_loaded():

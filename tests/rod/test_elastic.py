@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from learned_tendon_arm import learned_from_rough
+from learned_tendon_arm import learned_from_rough, seen_exactly
 from tendon_arm import ARM, ROUGH, arm, moves, recorded
 
 from softmap_edge import Robot, _core, compare, diagnose, learn_model, load_bundle
@@ -16,6 +16,7 @@ from softmap_edge.model.elastic_rod import ElasticParameters
 from softmap_edge.rod.learn import learn
 from softmap_edge.run.folds import folds
 
+run = pytest.fixture(scope="module")(seen_exactly)
 learned = pytest.fixture(scope="module")(learned_from_rough)
 
 

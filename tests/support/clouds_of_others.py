@@ -14,6 +14,7 @@ COLOURS = RNG.integers(0, 256, (240, 3))
 
 
 NORMALS = RNG.normal(size=(240, 3))
+NORMALS /= np.linalg.norm(NORMALS, axis=1, keepdims=True)
 
 
 def rows(*columns, split=" ", decimal=".", form="%.6f"):

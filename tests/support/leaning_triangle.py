@@ -1,13 +1,18 @@
-"""Small models of a leaning tube and recordings of them, for comparisons and reports."""
+"""A model of a leaning tube with an error put in by hand, and recordings of it, for comparisons and reports."""
 
-from dataclasses import dataclass, field
-from types import SimpleNamespace
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from softmap_edge import _core
+from softmap_edge.geometry.sections import BodyCoordinates
+from softmap_edge.model.model import Model
+from softmap_edge.model.structure import Structure
 from softmap_edge.run.run import Run
 
 RINGS, AROUND = 5, 8
+REACH = 12.0  # mm of each command
 
 
 def tube():
@@ -20,79 +25,52 @@ def tube():
 
 
 def shapes(rest, u):
-    """A tube that leans by its command: an exact stand-in for a prior, (K, N, 3)."""
+    """The points (K, N, 3) mm of a tube that leans by its command."""
     lean = (rest[:, 2] / 100.0) ** 2
     move = np.zeros((len(u), len(rest), 3))
     move[..., :2] = u[:, None, :] * lean[None, :, None]
     return rest + move
 
 
-@dataclass
-class Lean:
-    """A model with the face that `compare` uses, and an error put in by hand."""
+@dataclass(frozen=True, eq=False)
+class Wrong(Model):
+    """A model that errs by `error(run, points)` mm."""
 
-    rest: np.ndarray
-    triangles: np.ndarray
-    tip_indices: np.ndarray
-    sections: np.ndarray
-    error: object = None
-    robot: str = "tube"
-    command_unit: str = "mm"
-    chain_names: tuple = ()
-    params: dict = field(default_factory=dict)
-    arrays: dict = field(default_factory=dict)
-    calibration: object = None
-    output: object = None
-
-    @property
-    def markers(self):
-        return len(self.triangles) == 0
-
-    @property
-    def structure(self):
-        return self
-
-    @property
-    def arc_length(self):
-        return self.rest[:, 2]
-
-    def commands(self, run):
-        return run.command
-
-    def points_in_mm(self, run):
-        return run.vertices if run.vertices is not None else run.markers
+    error: Callable | None = None
 
     def predict(self, run):
-        u = np.stack([np.interp(run.t_seen, run.t, c) for c in run.command.T], axis=1)
-        points = shapes(self.rest, u)
+        points = super().predict(run)
         return points if self.error is None else points + self.error(run, points)
 
 
 def lean(error=None):
     rest, triangles = tube()
-    return Lean(rest, triangles, np.arange(4 * AROUND, 5 * AROUND), np.repeat(np.arange(RINGS), AROUND), error)
+    ends = np.array([-REACH, REACH])
+    modes = np.stack([(shapes(rest, one[None])[0] - rest).ravel() for one in np.eye(2)])  # linear in the commands
+    nodes = np.stack(np.meshgrid(ends, ends, indexing="ij"), axis=-1).reshape(-1, 2)
+    structure = Structure(
+        prior=_core.Table([ends, ends], nodes, rest.ravel(), modes),
+        fields={},
+        rest=rest,
+        triangles=triangles.astype(np.int32),
+        tip_indices=np.arange(4 * AROUND, 5 * AROUND),
+        gravity_reference=np.array([0.0, 0.0, 1.0]),
+        command_range=np.array([[-REACH, REACH]] * 2),
+        body=BodyCoordinates(np.repeat(np.arange(RINGS), AROUND), rest[:, 2], np.arctan2(rest[:, 1], rest[:, 0])),
+    )
+    return Wrong("table", structure, np.full((3 * RINGS, 3), 0.1), 0.1, robot="tube", error=error)
 
 
-class Recording(SimpleNamespace):
-    """A run that tests may bend in ways that `Run` refuses."""
-
-    hash = Run.hash
-    extra = {}
-    output, timeless = None, False
-
-    def arrays(self):
-        return {name: np.asarray(value) for name, value in vars(self).items() if value is not None}
+def markers_of(model):
+    """The same without a template: its points are markers."""
+    return model.with_structure(triangles=np.zeros((0, 3), np.int32), body=None)
 
 
 def record(t, u, t_seen, noise=0.0, seed=0, **more):
     rest, _ = tube()
     at = np.stack([np.interp(t_seen, t, c) for c in u.T], axis=1)
     vertices = shapes(rest, at) + noise * np.random.default_rng(seed).normal(size=(len(t_seen), len(rest), 3))
-    return Recording(
-        **{"t": t, "command": u, "t_seen": t_seen, "vertices": vertices, "markers": None, "visible": None}
-        | {"gravity": None, "temperature": None, "robot": "tube"}
-        | more
-    )
+    return replace(Run(t=t, command=u, t_seen=t_seen, vertices=vertices, robot="tube"), **more)
 
 
 def triangle(noise=0.0, seed=0, **more):

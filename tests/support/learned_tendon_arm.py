@@ -1,6 +1,5 @@
 """A tendon arm that is seen exactly, and learned from a rough start."""
 
-import pytest
 from tendon_arm import ROUGH, arm, recorded
 
 from softmap_edge.rod.learn import learn
@@ -12,6 +11,3 @@ def seen_exactly():
 
 def learned_from_rough(run):
     return learn(run, robot=arm(**ROUGH))
-
-
-run = pytest.fixture(scope="module")(seen_exactly)

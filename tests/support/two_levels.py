@@ -35,4 +35,4 @@ def judged(*laws, representative=100.0, before=1000.0, half=10.0, kind="static",
     asked.fits = SimpleNamespace(candidates=["gain", "offset", "asymmetry", "eccentric_pulley"])
     record = SimpleNamespace(spool=spool, error_is_noise=noisy)
     asked.body = SimpleNamespace(half=np.array([half]), problem=SimpleNamespace(numbers=60.0), record=record)
-    return asked.judged(list(laws))
+    return asked.answer_of(list(laws))

@@ -119,7 +119,7 @@ def test_a_damaged_or_foreign_network_is_refused(quick, tmp_path):
 
 def test_a_network_of_another_finger_is_refused(quick):
     with pytest.raises(TrainingError, match="sweep of the same finger"):
-        with_prior(replace(BASE, rest=BASE.rest[:-1]), quick, GRID[:2], POINTS[:2])
+        with_prior(BASE.with_structure(rest=BASE.rest[:-1]), quick, GRID[:2], POINTS[:2])
 
 
 def test_the_same_seed_gives_the_same_bytes_and_another_does_not(quick):

@@ -310,14 +310,13 @@ def with_prior(base: Model, trained: Trained | Tabulated, commands: Floats, poin
     arrays = dict(base.arrays) | {"prior": kept | dict(trained.arrays)}
     missed = (core.evaluate(commands) - points).reshape(len(points), -1, 3)
     own = np.sqrt(np.mean(base.structure.feature_map(missed) ** 2, axis=0))
+    taught = _taught(base, np.asarray(trained.report["command_range"]))
     return replace(
-        base,
+        base.with_structure(prior=core, command_range=taught),
         kind="network" if isinstance(core, _core.Network) else "table",
-        prior=core,
         arrays=arrays,
         form_error=np.hypot(form, own),
         vertex_error_mm=float(np.hypot(error, rms(missed.reshape(len(points), -1)))),
-        command_range=_taught(base, np.asarray(trained.report["command_range"])),
         made_from=dict(base.made_from) | {"prior": trained.report},
     )
 

@@ -77,8 +77,9 @@ def run_of(recording: Recording, model: Model | None = None) -> tuple[Run, str |
     lacks = "; ".join(filter(None, [recording.incomplete, lacks])) or None
     if lacks is not None:
         run = replace(run, extra=run.extra | {DAMAGE: np.array(lacks)})
-    kept = model is None or model.calibration is not None or model.command_unit == TICKS
-    return run if kept else converted(model, run), lacks
+    if model is None or model.calibration is not None or model.command_unit == TICKS:
+        return run, lacks
+    return converted(model, run), lacks
 
 
 def _seen(recording: Recording, beside: Path) -> tuple[Run, str | None]:

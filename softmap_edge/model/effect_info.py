@@ -1,0 +1,103 @@
+"""Declarations of the effects: the compiled ones and a user's own, by name in the order of their stages.
+
+Pinned by tests/model/test_look.py and tests/model/test_own_effect.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from softmap_edge import _core
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A parameter of an effect: no change at `null`; a fit starts at `start` and searches from `low` to `high`.
+
+    `per_channel`, `per_cable` and `per_pair` say what has a number of its own; `shared` numbers are equal unless they
+    are split. Where the data require it, a fit goes beyond `high`: to `half_ranges` of the command, or to the weight
+    that moves the body by so many of its `lengths`. An `instant` is a time of the run, in seconds.
+    """
+
+    name: str
+    unit: str
+    null: float
+    start: float
+    low: float
+    high: float
+    doc: str
+    log: bool = False
+    integer: bool = False
+    instant: bool = False
+    per_channel: bool = False
+    shared: bool = False
+    per_cable: bool = False
+    per_pair: bool = False
+    half_ranges: float = 0.0
+    lengths: float = 0.0
+
+
+@dataclass(frozen=True)
+class EffectInfo:
+    """The declaration of an effect.
+
+    `stage` is where it acts on the way to the measurement, `role` what its law takes ("channel", "shape", "prior" or
+    "sensing"), `kind` "effect" or "fault". `experiment` is the block that shows it, and its minutes. `alike` names
+    effects of the same form and the condition that separates them ("never" if none does). `needs` are fields of a run.
+    """
+
+    name: str
+    family: str
+    stage: str
+    role: str
+    kind: str
+    remembers: bool
+    own: bool
+    formula: str
+    doc: str
+    signature: str
+    reference: str
+    experiment: tuple[str, float]
+    alike: Mapping[str, str]
+    needs: tuple[str, ...]
+    parameters: tuple[Parameter, ...]
+
+    @property
+    def is_fault(self) -> bool:
+        """Whether it is a fault of set-up or measurement, not physics of the robot."""
+        return self.kind == "fault"
+
+    @property
+    def on_commands(self) -> bool:
+        """Whether its law changes commands."""
+        return self.role == "channel"
+
+    @property
+    def on_outputs(self) -> bool:
+        """Whether it can act on outputs without a body: on the command, or on the clock."""
+        return self.on_commands or (self.role == "sensing" and self.family == "delay")
+
+    @property
+    def needs_time(self) -> bool:
+        """Whether it is a delay, a rate or a time constant; an instant is a row as well."""
+        units = [parameter.unit for parameter in self.parameters if not parameter.instant]
+        return any(unit == "s" or unit.endswith(("/s", "/min")) for unit in units)
+
+
+Registry = Mapping[str, EffectInfo]
+
+
+def registry() -> dict[str, EffectInfo]:
+    """Return the declarations of all effects by name, a user's own last in their stage."""
+    found = {}
+    for row in _core.effects():
+        parameters = tuple(Parameter(**parameter) for parameter in row["parameters"])
+        lists = {"parameters": parameters, "needs": tuple(row["needs"])}
+        found[row["name"]] = EffectInfo(**row | lists)
+    return found
+
+
+def effects_that(role: str) -> set[str]:
+    """Return the names of the effects of a role."""
+    return {info.name for info in registry().values() if info.role == role}
