@@ -122,8 +122,7 @@ def check(args: argparse.Namespace) -> int:
     found: dict[str, Any] = {}
     try:
         if kind == "bundle":
-            found = _bundle(path)
-            found |= _compared_networks(path)
+            found = _bundle(path) | _compared_networks(path)
         else:
             found = _run(path, args.bundle) if kind == "run" else read_summary(path)
         faults = [*found.get("not_seen", []), *(found[key] for key in ("unanswered", "fault") if found.get(key))]
