@@ -7,7 +7,7 @@ OUT ?= out
 
 RUST := $(shell find rust -name '*.rs') Cargo.toml Cargo.lock rust/servo/Cargo.toml
 
-.PHONY: demo build test test-long lint bench bank outside prove docs wheel data builtin clean test-rust test-python
+.PHONY: demo build test test-long lint bench bank outside prove docs figures wheel data builtin clean test-rust test-python
 
 demo: $(VENV)/.core
 	$(BIN)/softmap demo --out $(OUT)/demo
@@ -50,7 +50,7 @@ SHARE ?= 1
 bank: $(VENV)/.test
 	$(BIN)/python -m benches.bank --seeds $(SEEDS) --share $(SHARE) --out $(OUT)/bank
 
-# Public data with known answers beside general methods; sets that are absent are skipped. Writes docs/outside.md as well.
+# Public data with known answers beside general methods; sets that are absent are skipped. Writes docs/benchmarks/outside.md as well.
 outside: $(VENV)/.bench
 	RAYON_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 OMP_NUM_THREADS=1 $(BIN)/python -m benches.outside --out $(OUT)/outside --page
 
@@ -60,9 +60,17 @@ prove: wheel $(VENV)/.prove
 	PATH="$(abspath $(BIN)):$$PATH" $(BIN)/python rust/servo/prove.py mutants
 	$(BIN)/python -m pytest
 
-docs: $(VENV)/.test
+# The documentation as a site in out/docs, with a search that works from a disk; every warning is an error.
+docs: $(VENV)/.docs
+	$(BIN)/python docs/make_reference.py
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet
+	@echo "Open out/docs/index.html"
+
+# The pictures of the pages and the page of effects, measured again.
+figures: $(VENV)/.test
 	$(BIN)/python docs/make_effects.py
 	$(BIN)/python docs/figures.py
+	$(BIN)/python docs/figures_diagnosis.py
 	$(BIN)/python docs/figures_tdcr.py
 	$(BIN)/python docs/figures_beam.py
 	$(BIN)/python docs/figures_track.py
@@ -119,4 +127,8 @@ $(VENV)/.prove: $(VENV)/.venv
 
 $(VENV)/.lint: $(VENV)/.core
 	$(UV) --group pyproject.toml:lint --group pyproject.toml:test
+	touch $@
+
+$(VENV)/.docs: $(VENV)/.test pyproject.toml
+	$(UV) --group pyproject.toml:docs
 	touch $@

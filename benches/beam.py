@@ -1,4 +1,4 @@
-"""Print every number of docs/beam.md: a silicone beam that nothing commands, under its weight, 52 g and 101 g.
+"""Print every number of docs/learn/beam.md: a silicone beam that nothing commands, under its weight, 52 g and 101 g.
 
 The modulus is fitted to one gravity run alone; the other runs are predicted by the finite elements with it. `drop` is
 the mean of the three tip markers along gravity (mm), `rotation` that of the plate that carries them (degrees), both

@@ -1,4 +1,5 @@
-"""Print every number of docs/tdcr.md: a nine-tendon robot seen at its tip, its elastic rod beside general regressors.
+"""Print every number of docs/learn/tdcr.md: a nine-tendon robot seen at its tip, its elastic rod and general
+regressors.
 
 Errors are mm at the tip, RMS. Every model is fitted to `train.csv`; `CV` holds out whole moves (the labels of the log,
 dealt out to ten folds, frames within 2 s apart left out); `unseen` is `val.csv`, moves of all three segments at once,

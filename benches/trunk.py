@@ -1,4 +1,4 @@
-"""Print every number of docs/own_log.md; first how well the rod predicts the trunk robot beside general regressors.
+"""Print every number of docs/learn/own_log.md; first the rod on the trunk robot, compared with general regressors.
 
 Blocked cross-validation RMS over three markers and at the tip (mm), on the unloaded run of the trunk logs. Commands
 reach every model after the drive's delay and lag as the rod found them; encoders are un-held. The regressors get the

@@ -1,4 +1,4 @@
-"""Numbers of docs/own_log.md beyond its first table: the drive, seconds kept from the rod, and what the load changes.
+"""Numbers of docs/learn/own_log.md beyond its first table: the drive, withheld seconds, and the changes by the load.
 
 `python -m benches.trunk` prints them after the table. Errors are mm, RMS over the three markers. "Later" is the last
 30 % of a run; effects see only the first 60 % of the loaded one, and the rod none of the unloaded run's later moves.

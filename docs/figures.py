@@ -1,6 +1,6 @@
 """Make the pictures of the pages: a second finger with hidden backlash, found and added; the protocol; a mesh.
 
-`python docs/figures.py` writes them beside this file; `--out` names another folder, `--seed` another finger. The
+`python docs/figures.py` writes them into `docs/pictures/`; `--out` names another folder, `--seed` another finger. The
 picture of the mesh needs its data (`make data`) and is left as it is without them.
 """
 
@@ -82,7 +82,8 @@ def mesh_and_bricks(folder: Path) -> bytes:
 def main(argv: Sequence[str] | None = None) -> int:
     """Measure, diagnose, and draw the run of another kind that was never fitted."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--out", type=Path, default=Path(__file__).parent, help="folder for the pictures")
+    pictures = Path(__file__).with_name("pictures")
+    parser.add_argument("--out", type=Path, default=pictures, help="folder for the pictures")
     parser.add_argument("--seed", type=int, default=SEED, help=f"of the second finger ({SEED})")
     args = parser.parse_args(argv)
     model, truth = builtin_model(), hide(["backlash"], args.seed)

@@ -1,7 +1,7 @@
-"""Make the picture of docs/beam.md: a silicone beam from the side, as its markers were seen and as it was predicted.
+"""Make the picture of docs/learn/beam.md: a silicone beam from the side, measured markers and prediction.
 
-`python docs/figures_beam.py` writes it beside this file; `--out` names another folder. It needs the recordings (`make
-data`) and says so where they are absent.
+`python docs/figures_beam.py` writes it into `docs/pictures/`; `--out` names another folder. It needs the recordings
+(`make data`) and says so where they are absent.
 """
 
 from __future__ import annotations
@@ -26,7 +26,8 @@ from softmap_edge.report.figures import AFTER, BEFORE, FAINT, INK, STYLE, WIDE, 
 def main(argv: Sequence[str] | None = None) -> int:
     """Fit the beam to its own weight and draw it under each load."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--out", type=Path, default=Path(__file__).parent, help="folder for the pictures")
+    pictures = Path(__file__).with_name("pictures")
+    parser.add_argument("--out", type=Path, default=pictures, help="folder for the pictures")
     args = parser.parse_args(argv)
     folder = find_or_say("beam")
     if folder is None:

@@ -1,6 +1,6 @@
-"""Make the pictures of docs/tdcr.md: the tip of a nine-tendon robot on moves that its rods were not fitted to.
+"""Make the pictures of docs/learn/tdcr.md: the tip of a nine-tendon robot on moves that its rods were not fitted to.
 
-`python docs/figures_tdcr.py` writes them beside this file; `--out` names another folder. It needs the logs (`make
+`python docs/figures_tdcr.py` writes them into `docs/pictures/`; `--out` names another folder. It needs the logs (`make
 data`) and says so where they are absent.
 """
 
@@ -31,7 +31,8 @@ MOVES = ("rep1_all3_same_dir300", "rep1_all3_scurve_dir60", "rep1_all3_spiral_di
 def main(argv: Sequence[str] | None = None) -> int:
     """Fit both rods and draw what they predict of the unseen run."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--out", type=Path, default=Path(__file__).parent, help="folder for the pictures")
+    pictures = Path(__file__).with_name("pictures")
+    parser.add_argument("--out", type=Path, default=pictures, help="folder for the pictures")
     args = parser.parse_args(argv)
     folder = find_or_say("tdcr")
     if folder is None:

@@ -1,7 +1,7 @@
 """Make the picture of the page that drives by hand: an emulated finger, and the hand of a clip before the camera.
 
-`python docs/figures_teleop.py` writes teleop.jpg beside this file; `--out` names another folder. It needs the command
-chromium (a browser that draws without a screen), the clip (`make data`) and the model of hands (`softmap teleop
+`python docs/figures_teleop.py` writes teleop.jpg into `docs/pictures/`; `--out` names another folder. It needs the
+command chromium (a browser that draws without a screen), the clip (`make data`) and the model of hands (`softmap teleop
 --fetch-model`), and says in one line what is absent.
 """
 
@@ -125,7 +125,7 @@ def teleop_page(clip: Path) -> bytes | None:
 def main(argv: Sequence[str] | None = None) -> int:
     """Take the picture, where everything that it needs is here."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--out", type=Path, default=Path(__file__).parent, help="folder for the picture")
+    parser.add_argument("--out", type=Path, default=Path(__file__).with_name("pictures"), help="folder for the picture")
     args = parser.parse_args(argv)
     folder = find("hand")
     if shutil.which("chromium") is None or folder is None:

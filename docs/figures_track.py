@@ -1,7 +1,8 @@
-"""Make the picture of docs/track.md: an S on an emulated finger that hides backlash and creep, and through them.
+"""Make the picture of docs/do/track.md: an S on an emulated finger that hides backlash and creep, and through them.
 
-`python docs/figures_track.py` writes track_s.svg beside this file; `--out` names another folder. It runs in real time,
-a minute, on emulated servos: a busy computer may end it. The numbers are those of tests/robot/test_track.py's promise.
+`python docs/figures_track.py` writes track_s.svg into `docs/pictures/`; `--out` names another folder. It runs in real
+time, a minute, on emulated servos: a busy computer may end it. The numbers are those of tests/robot/test_track.py's
+promise.
 """
 
 from __future__ import annotations
@@ -60,7 +61,7 @@ def tracked(model: Model, laws: Sequence[Any]) -> tuple[Course, Tracked]:
 def main(argv: Sequence[str] | None = None) -> int:
     """Diagnose, track twice, and draw both."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--out", type=Path, default=Path(__file__).parent, help="folder for the picture")
+    parser.add_argument("--out", type=Path, default=Path(__file__).with_name("pictures"), help="folder for the picture")
     args = parser.parse_args(argv)
     model = builtin_model()
     laws = hidden_laws(HIDDEN, model.channels, SEED, SIZE)

@@ -1,4 +1,4 @@
-"""Write docs/effects.md, the page of every effect, and its pictures from the registry: `python docs/make_effects.py`.
+"""Write docs/reference/effects.md and its pictures from the registry: `python docs/make_effects.py`.
 
 A picture shows one recording without and with the effect. Effects on commands, at their start: what is told and what
 acts over time, then what the effect adds against what is told, or the plane of both channels where one moves the other.
@@ -25,40 +25,45 @@ from softmap_edge.report.figures import AFTER, BEFORE, FAINT, STYLE
 
 Floats = NDArray[np.float64]
 
-PAGE = Path(__file__).with_name("effects.md")
-PICTURES = Path(__file__).with_name("effects")
+PAGE = Path(__file__).parent / "reference" / "effects.md"
+PICTURES = Path(__file__).parent / "pictures" / "effects"
 
 HEAD = """# Effects
 
-Made from the registry by `docs/make_effects.py`; do not edit. An effect is declared once, in a file of its own under
-`rust/effects/`, and its name stands in the list of `rust/effects/mod.rs`: one file and one line add one.
-A Python file does as well, everywhere but in the control loop: [own_effect.md](own_effect.md).
+`docs/make_effects.py` writes this page from the registry; do not edit it. An effect is declared once, in a file of its
+own under `rust/effects/`, and its name stands in the list of `rust/effects/mod.rs`. One file and one line add an
+effect. A Python file works too, everywhere except in the control loop: [own_effect.md](../do/own_effect.md).
 
-At its null values an effect is absent. A fit searches from *low* to *high* (on a logarithmic scale where *low* is
-positive) and begins at *start*. A parameter marked *per channel* has one value for each command: `gain.factor[0]`,
-`gain.factor[1]`. One marked *shared* does too (`backlash.gap[0]`, `backlash.gap[1]`), but one number, `backlash.gap`,
-is used for all channels until they are given or fitted separately. One *shared by cables* has one for each of the two
-cables of a channel. `dead_zone.slack[0+]` is for the cable that a positive command pulls, `dead_zone.slack[0-]` for the
-other; `dead_zone.slack[0]` sets both. One *per pair* has one for each ordered pair of
-channels (of neighbours, beyond four channels): `coupling.factor[0,1]`, the channel that is moved first. A *whole*
-number is tried at integer values and not optimised. The path from command to camera is
-`command → transmission → material → shape → sensing`; a chain is always composed in this order. Each picture shows one
-recording, without the effect and with it.
+At its null values an effect is absent. A fit searches from *low* to *high* and begins at *start*. The scale is
+logarithmic where *low* is positive.
+
+| mark of a parameter | values |
+|---|---|
+| *per channel* | one for each command: `gain.factor[0]`, `gain.factor[1]` |
+| *shared* | the same, but one number (`backlash.gap`) serves all channels until they are given or fitted separately |
+| *shared by cables* | one for each of the two cables of a channel; see below |
+| *per pair* | one for each ordered pair of channels, `coupling.factor[0,1]`: the channel that moves comes first |
+| *integer* | tried at each integer of the range, not optimised |
+
+Beyond four channels only neighbours form pairs. `dead_zone.slack[0+]` is for the cable that a positive command pulls,
+`dead_zone.slack[0-]` for the other one; `dead_zone.slack[0]` sets both. The path from command to camera is `command →
+transmission → material → shape → sensing`. A chain is always composed in this order. Each picture shows one recording
+without the effect and with it.
 
 Values in mm of command are for commands of ±16 mm. On a robot with another range they scale with the range. A fit goes
 beyond the search range where the data require it. *At most 2 half ranges* is twice the largest command. *At most 1
 length* is the weight at the tip that would move it sideways by the length of the body if the answer were linear.
 
-Loads move a finger by its fields, which are taken at constant tension of its tendons; the tendons then answer by
-falling slack or taut, a complementarity problem solved at every frame (`rust/response/cables.rs`). What large loads,
-and changes of the modulus, do beyond that comes from second derivatives (`rust/response/second_order.rs`). On the
-built-in finger, with them and without, this misses the simulator by (RMS over vertices and eleven commands, of what
-the load moves them by):
+Loads move a finger by its fields, which are taken at constant tension of its tendons. The tendons then answer by
+falling slack or taut. This is a complementarity problem, solved at every frame (`rust/response/cables.rs`). The answer
+to large loads, and to changes of the modulus, includes second derivatives (`rust/response/second_order.rs`). The table
+gives the error against the simulator on the built-in finger, with and without these derivatives. *Of* is the
+displacement by the load. All are RMS over the vertices and eleven commands.
 
 @LOADS@
 
-A rod's fields answer loads by one nominal compliance. An elastic rod answers with its tendons, and has the fields of
-its modulus along the body, of a curvature at rest and of the sides of its tendons as well. Both are linear.
+The fields of a polynomial rod answer loads by one nominal compliance. An elastic rod answers with its tendons. It also
+has the fields of its modulus along the body, of a curvature at rest and of the sides of its tendons. Both are linear.
 """
 
 
@@ -229,7 +234,7 @@ def _section(effect: dict[str, Any]) -> str:
             "",
             effect["doc"],
             "",
-            f"![Without and with {effect['name']}](effects/{effect['name']}.svg)",
+            f"![Without and with {effect['name']}](../pictures/effects/{effect['name']}.svg)",
             "",
             f"- **While it is missing:** {effect['signature']}",
             f"- **To show it:** {block} ({minutes:g} min).",
@@ -258,7 +263,7 @@ def _each(parameter: dict[str, Any]) -> str:
         "per_pair": " per pair",
     }
     words = [word for key, word in each.items() if parameter[key]][:1]  # the first key that holds is the most exact
-    return "".join(words + [" whole"] * parameter["integer"])
+    return "".join(words + [" integer"] * parameter["integer"])
 
 
 if __name__ == "__main__":

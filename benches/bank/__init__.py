@@ -1,1 +1,1 @@
-"""The benchmark bank: truths not written with the library's formulas, and how a diagnosis of them is judged."""
+"""The benchmark bank: hidden laws with other formulas than the library's, and the score of a diagnosis."""

@@ -4,7 +4,8 @@
 
 A law overrides the one place where it acts. All memory starts in equilibrium with the first command held for ever.
 Units: s, mm, g, °C, degrees. Randomness only from the generator that `draw` is given. No law calls the effect library,
-and each has another form than the library's (the table in docs/bank.md). Pinned by tests/benches/test_bank.py.
+and each has another form than the library's (the table in docs/benchmarks/bank.md). Pinned by
+tests/benches/test_bank.py.
 """
 
 from __future__ import annotations

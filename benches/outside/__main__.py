@@ -1,7 +1,7 @@
 """Run our diagnosis and its peers on outside data with known answers; print one table (`make outside`).
 
-`--out FOLDER` writes outside.json and outside.md there, `--page` docs/outside.md; `--only NAME` runs the sets whose
-name holds NAME. A set that is absent is skipped with its reason.
+`--out FOLDER` writes outside.json and outside.md there, `--page` docs/benchmarks/outside.md; `--only NAME` runs the
+sets whose name holds NAME. A set that is absent is skipped with its reason.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ def main() -> int:
     """Make the table."""
     parser = argparse.ArgumentParser(prog="python -m benches.outside", description=__doc__)
     parser.add_argument("--out", type=Path, help="folder for outside.json and outside.md")
-    parser.add_argument("--page", action="store_true", help="write docs/outside.md")
+    parser.add_argument("--page", action="store_true", help="write docs/benchmarks/outside.md")
     parser.add_argument("--only", default="", metavar="NAME", help="the sets whose name holds this")
     args = parser.parse_args()
     rows: list[Row] = []
@@ -55,7 +55,7 @@ def main() -> int:
         (args.out / "outside.json").write_text(document(rows, skipped), encoding="utf-8")
         (args.out / "outside.md").write_text("\n".join(lines(rows)) + "\n", encoding="utf-8")
     if args.page:
-        (ROOT / "docs/outside.md").write_text(page(rows, cases, skipped), encoding="utf-8")
+        (ROOT / "docs/benchmarks/outside.md").write_text(page(rows, cases, skipped), encoding="utf-8")
     return 0
 
 

@@ -77,7 +77,7 @@ def _figure(value: float | None) -> str:
 
 
 def page(rows: Sequence[Row], cases: dict[str, Case], skipped: dict[str, str]) -> str:
-    """Return the page docs/outside.md."""
+    """Return the page docs/benchmarks/outside.md."""
     found = text("page") + "\n\n" + "\n".join(lines(rows)) + "\n"
     if skipped:
         found += "\nSkipped: " + "; ".join(f"{name} ({why})" for name, why in skipped.items()) + ".\n"

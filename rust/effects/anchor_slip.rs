@@ -33,7 +33,7 @@ pub static EFFECT: Effect = Effect {
                 0.5,
                 -6.0,
                 6.0,
-                "shortening that the slip adds to the channel; its sign tells which cable",
+                "shortening that the slip adds to the channel; its sign says which cable",
             )
             .per_channel(),
             Parameter::new(

@@ -16,7 +16,7 @@ pub static EFFECT: Effect = Effect {
         formula: "y = clamp(y, x − gap/2, x + gap/2)",
         doc: "Free play of gears, clutches and knots: the tendon follows its drive only outside a dead zone that the motion \
               drags along. Constant dry friction behind an elastic tendon draws the same loop.",
-        signature: "A loop of constant width between there and back; no motion at all just after a reversal.",
+        signature: "A loop of constant width between loading and unloading; no motion at all just after a reversal.",
         reference: "Play operator: Krasnosel'skii and Pokrovskii, Systems with Hysteresis, Springer 1989.",
         experiment: ("small loops at two offsets", 1.5),
         alike: &[],

@@ -216,7 +216,7 @@ impl Chain {
         self.links.iter().find(whole).map(name).map_or(Ok(()), |name| {
             Err(invalid(format!(
                 "'{name}' is a Python effect: it maps whole records and has no state to start, step or continue, so not \
-                 in the control loop; write it in Rust, see docs/own_effect.md"
+                 in the control loop; write it in Rust, see docs/do/own_effect.md"
             )))
         })
     }

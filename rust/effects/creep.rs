@@ -20,7 +20,7 @@ pub static EFFECT: Effect = Effect {
         formula: "y = x + strength · (z₁ + z₂)/2,  tau · spread · dz₁/dt = x − z₁,  tau / spread · dz₂/dt = x − z₂",
         doc: "Viscoelastic creep of the body: after the quick response, a slow one in the same direction, and a slow way back.",
         signature: "Drift while a command is held, in the direction of the last move; the same command looks different after a \
-                    long dwell elsewhere.",
+                    long dwell at another place.",
         reference: "Prony series of linear viscoelasticity: Christensen, Theory of Viscoelasticity, 1982.",
         experiment: ("staircase with dwells of 6 to 10 s", 2.0),
         alike: &[],

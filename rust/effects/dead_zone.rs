@@ -16,7 +16,7 @@ pub static EFFECT: Effect = Effect {
         formula: "x = u − min(max(u, −slack⁻), slack⁺)  for the cables that +u and −u pull",
         doc: "A tendon with too much length: near zero it only straightens, and the finger stays straight until the \
               slack is taken up.",
-        signature: "No motion around home, the same there and back; beyond, all commands act as if smaller by a constant.",
+        signature: "No motion around home, the same in loading and unloading; beyond, all commands act as if smaller by a constant.",
         reference: "Dead zone: Tao and Kokotović, Adaptive Control of Systems with Actuator and Sensor Nonlinearities, Wiley \
               1996.",
         experiment: ("through zero both ways, slowly, one channel at a time", 1.0),

@@ -18,7 +18,7 @@ pub static EFFECT: Effect = Effect {
         formula: "y = mean of y_j,  y_j = clamp(y_j, x − w_j, x + w_j),  w_j = mu · f_j · (|x| + preload)",
         doc: "Coulomb friction of the tendon in its guides: tension is lost along the way, the more the tighter and \
               the more it is wrapped.",
-        signature: "A loop between there and back that is narrow near home and widens with the bend; after a reversal the \
+        signature: "A loop between loading and unloading that is narrow near home and widens with the bend; after a reversal the \
               far end moves last.",
         reference: "Tendon friction: Kaneko and others, Int. Conf. Advanced Robotics 1991; generalised play: Visintin, \
               Differential Models of Hysteresis, Springer 1994.",
@@ -33,7 +33,7 @@ pub static EFFECT: Effect = Effect {
                 0.1,
                 0.01,
                 0.5,
-                "friction of the whole tendon: half-width of the loop at its far end, over the pull",
+                "friction of the complete tendon: half-width of the loop at its far end, over the pull",
             )
             .shared(),
             Parameter::new(

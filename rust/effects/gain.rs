@@ -14,7 +14,7 @@ pub static EFFECT: Effect = Effect {
         formula: "x = factor · u",
         doc: "Each command is scaled: the spool radius differs from the nominal one, or the tendon stretches linearly. \
               A finger of another modulus is hardly seen under servo displacement and would hide here.",
-        signature: "Static, odd in the command: nothing at home, growing with the bend, the same on the way there and back.",
+        signature: "Static, odd in the command: nothing at home, growing with the bend, the same in loading and unloading.",
         reference: "Linear map from servo angle to tendon shortening; the matrix A of the command calibration in the paper.",
         experiment: ("full range, both signs, at least three levels", 1.0),
         alike: &[],

@@ -19,7 +19,7 @@ pub static EFFECT: Effect = Effect {
         kind: Kind::Effect,
         formula: "y = x − strength/4 · Σ s_i,  s_i = clamp(s_i + Δx, ±reach · (i/4)^shape),  i = 1…4",
         doc: "Internal friction of the body: a few stop operators of growing threshold hold back part of the motion.",
-        signature: "A loop between there and back whose width grows with the swing and saturates; motion sets in at once \
+        signature: "A loop between loading and unloading whose width grows with the swing and saturates; motion sets in at once \
                     after a reversal, but too small.",
         reference: "Prandtl–Ishlinskii operator: Krejčí and Kuhnen, IEE Proc. Control Theory Appl. 148 (2001) 185.",
         experiment: ("triangles of growing size, up and back", 2.0),

@@ -21,7 +21,7 @@ pub static EFFECT: Effect = Effect {
         signature: "Static; nothing in the middle of the pictures, growing with the third power towards their rim, at home too.",
         reference: "Brown, Decentering distortion of lenses, Photogrammetric Engineering 32 (1966) 444.",
         experiment: (
-            "points over the whole picture, and the poses of the cameras in the run",
+            "points over the full picture, and the poses of the cameras in the run",
             1.0,
         ),
         alike: &[],

@@ -17,7 +17,7 @@ pub static EFFECT: Effect = Effect {
         signature: "Static, bent at home; the same on top of every command, where an offset of the tendons fades or jumps where one goes slack.",
         reference: "Field of the simulator: one assembly of the residual with the changed design and one back-substitution; tensions by complementarity.",
         experiment: (
-            "home and both signs of every channel, the whole body in view",
+            "home and both signs of every channel, the full body in view",
             1.0,
         ),
         alike: &[("offset", "never")],

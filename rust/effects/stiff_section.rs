@@ -29,7 +29,7 @@ pub static EFFECT: Effect = Effect {
                 0.3,
                 -2.4,
                 2.4,
-                "logarithm of the modulus there over that elsewhere",
+                "logarithm of the modulus there over that of the rest",
             ),
             Parameter::new(
                 "centre",

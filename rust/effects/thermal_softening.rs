@@ -14,7 +14,7 @@ pub static EFFECT: Effect = Effect {
         stage: Stage::Material,
         kind: Kind::Effect,
         formula: "y = x · (1 + rate/100 · (T − T₀))",
-        doc: "Rubber and tendon change with temperature, from the motors beside them or from the room.",
+        doc: "Rubber and tendon change with temperature, from the motors next to them or from the room.",
         signature: "Error in proportion to the command that follows the temperature, whatever the moves.",
         reference: "Treloar, The Physics of Rubber Elasticity, 1975.",
         experiment: (

@@ -1,4 +1,4 @@
-//! From commands to what is seen: chain → shape and fields → sensing, for many parameter sets at once. Every fit calls this.
+//! From commands to measured points: chain → shape and fields → sensing, for many parameter sets at once. Every fit calls this.
 //!
 //! A frame at time t is `sense(prior(u_eff) + Σ c_k·field_k(u_eff) + Σ ΔT_i·cable_i(u_eff))`. `u_eff(t)` comes out of the
 //! chain at the command times and is read linearly at the seen times, less what the frames are stamped too late. `c(t)` holds the known physics, gravity declared by

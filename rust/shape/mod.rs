@@ -1,4 +1,4 @@
-//! What every family of shapes promises: commands in, numbers out, slopes on request.
+//! The interface of every family of shapes: commands in, numbers out, slopes on request.
 //!
 //! A shape maps C command numbers (mm) to M output numbers (mm, or per-unit displacements for a field). The table, the
 //! rod and whatever comes later implement this trait; what consumes a shape need not know which one it is (`fields.rs`

@@ -1,7 +1,7 @@
 """The commands of `softmap`: one table; the module of a command is imported only when it runs.
 
 Groups follow the questions of a user; `model`, `run` and `servo` hold actions, such as `softmap model adapt`. The page
-"commands" of the docs lists them. Pinned by tests/commands/test_cli_words.py.
+docs/reference/cli.md lists them. Pinned by tests/commands/test_cli_words.py.
 """
 
 from __future__ import annotations
@@ -41,11 +41,11 @@ LOOK, UNDERSTAND, ROBOT = "look at a file", "understand what is missing", "drive
 
 COMMANDS: list[Command] = [
     Command(
-        "demo", SEE, "the complete workflow on a simulated finger", f"{_HERE}.demo", "words",
+        "demo", SEE, "the complete workflow on a simulated finger", f"{_HERE}.demo", "demo",
         ("demo --out demo", "demo --hide backlash,payload --seed 3"),
     ),
     Command(
-        "import", DATA, "logs + mapping file → run; --guess proposes one", f"{_HERE}.runs", "own_log",
+        "import", DATA, "logs + mapping file → run; --guess proposes one", f"{_HERE}.runs", "own_csv",
         ("import log.csv --guess --out map.toml", "import log.csv --map map.toml --out run.npz"),
     ),
     Command(
@@ -53,7 +53,7 @@ COMMANDS: list[Command] = [
         ("run show run.npz", "run cut run.npz --from 0 --to 60 --out piece.npz"),
     ),
     Command(
-        "run align", DATA, "camera or mocap frame → base frame", f"{_HERE}.align", "own_log",
+        "run align", DATA, "camera or mocap frame → base frame", f"{_HERE}.align", "registration",
         ("run align run.npz --out aligned.npz",),
     ),
     Command(
@@ -61,11 +61,11 @@ COMMANDS: list[Command] = [
         ("run register clouds.npz --out run.npz",),
     ),
     Command(
-        "build", MODEL, "finger.toml or sweep → bundle", f"{_HERE}.make", "elsewhere",
+        "build", MODEL, "finger.toml or sweep → bundle", f"{_HERE}.make", "finger_toml",
         ("build finger.toml --out model", "build sweep.npz --out model"),
     ),
     Command(
-        "learn", MODEL, "reference run → rod bundle", f"{_HERE}.make", "own_log",
+        "learn", MODEL, "reference run → rod bundle", f"{_HERE}.make", "own_csv",
         ("learn run.npz --out model", "learn run.npz --robot robot.toml --out model"),
     ),
     Command(
@@ -81,36 +81,36 @@ COMMANDS: list[Command] = [
         "effects", ("model effects", "model effects backlash", "model effects new mine"),
     ),
     Command(
-        "model predict", MODEL, "shapes for commands", f"{_HERE}.look", "words",
+        "model predict", MODEL, "shapes for commands", f"{_HERE}.look", "cli",
         ("model predict 8,-4", "model predict run.npz --bundle model --out points.npz"),
     ),
     Command(
         "model refit", MODEL, "fit the effects of a model, or the numbers of a finger, again",
-        f"{_HERE}.understand", "words", ("model refit run.npz --bundle model --out refitted",),
+        f"{_HERE}.understand", "report", ("model refit run.npz --bundle model --out refitted",),
     ),
     Command(
-        "model remove", MODEL, "remove an effect from a model", f"{_HERE}.understand", "words",
+        "model remove", MODEL, "remove an effect from a model", f"{_HERE}.understand", "report",
         ("model remove backlash --bundle model --out plain",),
     ),
     Command(
-        "model sweep", MODEL, "simulate a grid of commands", f"{_HERE}.make", "elsewhere",
+        "model sweep", MODEL, "simulate a grid of commands", f"{_HERE}.make", "import_sweep",
         ("model sweep finger.toml --out sweep.npz",),
     ),
     Command(
-        "check", LOOK, "is this run or bundle sound", f"{_HERE}.runs", "own_log",
+        "check", LOOK, "is this run or bundle sound", f"{_HERE}.runs", "own_csv",
         ("check run.npz", "check run.npz --bundle model", "check model"),
     ),
-    Command("show", LOOK, "what is in a run or bundle", f"{_HERE}.runs", "words", ("show run.npz", "show model")),
+    Command("show", LOOK, "what is in a run or bundle", f"{_HERE}.runs", "runs", ("show run.npz", "show model")),
     Command(
-        "compare", UNDERSTAND, "how far off is the model, and where", f"{_HERE}.understand", "words",
+        "compare", UNDERSTAND, "how far off is the model, and where", f"{_HERE}.understand", "report",
         ("compare run.npz --bundle model", "compare run.npz --bundle model --html page.html"),
     ),
     Command(
-        "diagnose", UNDERSTAND, "which family of effects is missing, and its law", f"{_HERE}.understand", "words",
+        "diagnose", UNDERSTAND, "which family of effects is missing, and its law", f"{_HERE}.understand", "diagnose",
         ("diagnose run.npz --bundle model --out found.json", "diagnose run.npz --held-out other.npz"),
     ),
     Command(
-        "add", UNDERSTAND, "add an effect to a bundle", f"{_HERE}.understand", "words",
+        "add", UNDERSTAND, "add an effect to a bundle", f"{_HERE}.understand", "diagnose",
         ("add backlash --from found.json --bundle model --out better",),
     ),
     Command(

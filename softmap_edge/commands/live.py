@@ -24,7 +24,7 @@ BEGINS = 30.0  # s that a recording may take to begin
 def compare_live(args: argparse.Namespace) -> int:
     """Follow a recording and a camera until the recording ends, `--seconds` are over, or Ctrl-C."""
     if args.camera is None:
-        raise SoftmapError("--live needs eyes: give --camera udp://:PORT (docs/camera.md)")
+        raise SoftmapError("--live needs eyes: give --camera udp://:PORT (docs/do/camera.md)")
     if args.run is None or Path(args.run).suffix != ".mcap":
         raise SoftmapError("--live follows what a loop records: give its .mcap file, as of `softmap track --record`")
     if args.html or len(args.bundle or []) > 1:

@@ -31,8 +31,7 @@ def build_arguments(parser: argparse.ArgumentParser) -> None:
         "finger",
         nargs="?",
         help="finger.toml, or a sweep (.npz) of `softmap model sweep` or of another simulator "
-        "(docs/elsewhere.md); without "
-        "it the built-in finger",
+        "(docs/do/import_sweep.md); without it the built-in finger",
     )
     bundle_arguments(parser)
     parser.add_argument("--steps", type=int, help="commands a channel in the sweep (41, of three channels 13)")

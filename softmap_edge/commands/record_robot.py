@@ -212,7 +212,7 @@ def _checked(args: argparse.Namespace) -> None:
     if args.hide and not args.emulated:
         raise SoftmapError("--hide: only a simulated or emulated finger can hide something")
     if args.rig and args.camera is None:
-        raise SoftmapError("--rig needs eyes: give --camera udp://:PORT (docs/camera.md)")
+        raise SoftmapError("--rig needs eyes: give --camera udp://:PORT (docs/do/camera.md)")
     if args.emulated and args.camera is not None:
         raise SoftmapError("--emulated has a camera of its own; leave --camera out")
     if args.calibrated and not args.emulated:
@@ -271,7 +271,7 @@ def _ahead(args: argparse.Namespace, paced: Pace) -> str:
     )
 
 
-def _said(args: argparse.Namespace, run: Any, told: dict[str, Any]) -> str:
+def _said(args: argparse.Namespace, run: object, told: dict[str, Any]) -> str:
     lines = [
         f"{run}",
         f"{told['frames']} of {told['wanted']} frames in {told['minutes']:.1f} minutes, {told['settling_s']:g} s to "

@@ -43,7 +43,7 @@ def import_arguments(parser: argparse.ArgumentParser) -> None:
         help="the logs of one recording (CSV, TRC, C3D, MCAP, .db3, .mat, .npz, Parquet), or its folder",
     )
     how = parser.add_mutually_exclusive_group(required=True)
-    how.add_argument("--map", help="mapping file: docs/mapping.md lists its keys, examples/trunk.toml shows the form")
+    how.add_argument("--map", help="mapping file (docs/reference/mapping.md; examples/trunk.toml is one)")
     how.add_argument("--guess", action="store_true", help="propose a mapping from the header and the ranges")
     parser.add_argument("--out", help="the run to write (.npz); with --guess the mapping (.toml), else it is printed")
     parser.add_argument(
@@ -245,7 +245,7 @@ def _bundle_lines(document: dict[str, Any]) -> list[str]:
     return lines
 
 
-def _plain(value: Any) -> str:
+def _plain(value: object) -> str:
     return value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)
 
 

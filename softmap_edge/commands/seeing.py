@@ -15,7 +15,7 @@ from softmap_edge.robot.link.session import read_key, udp_address
 def camera_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare where points come from."""
     parser.add_argument(
-        "--camera", metavar="udp://:PORT", help="where the camera's program sends points (docs/camera.md)"
+        "--camera", metavar="udp://:PORT", help="where the camera's program sends points (docs/do/camera.md)"
     )
     parser.add_argument(
         "--key", metavar="FILE", help="the key that is shared with that program; needed across computers"

@@ -70,7 +70,7 @@ def track(args: argparse.Namespace) -> int:
     if args.camera and not args.rig:
         raise SoftmapError("--camera watches a robot; give --rig with it (an emulated finger has a camera of its own)")
     if args.observe and not (args.sim or args.camera):
-        raise SoftmapError("--observe needs eyes: give --camera udp://:PORT (docs/camera.md), or --sim")
+        raise SoftmapError("--observe needs eyes: give --camera udp://:PORT (docs/do/camera.md), or --sim")
     if (args.figure is None) == (not (args.table or args.workspace)):
         raise SoftmapError("name a figure, or give --table or --workspace without one")
     if (args.rival and not args.table) or (args.reach and not args.workspace):

@@ -1,1 +1,1 @@
-"""How far off a model is, where, and when: after a run and during one."""
+"""The error of a model: how large it is, where and when, after a run and during one."""

@@ -1,1 +1,1 @@
-"""Files of any kind: written whole or not at all, read within limits."""
+"""Files of any kind: written completely or not at all, read within limits."""

@@ -1,1 +1,1 @@
-"""Any log with a mapping file → run: tables, frames, what does not look as declared, and a mapping proposed."""
+"""Any log with a mapping file → run: tables, frames, checks of what was declared, and a proposed mapping."""

@@ -123,7 +123,7 @@ def _nothing_found(sheets: list[Sheet]) -> RunError:
     hint = next((hint for sheet in sheets if (hint := header_hint(sheet))), "")
     return RunError(
         f"no column looks like a command or a marker by its name ({seen}){hint}; write the mapping by hand: "
-        "docs/mapping.md lists its keys, examples/trunk.toml shows the form"
+        "docs/reference/mapping.md lists its keys, examples/trunk.toml shows the form"
     )
 
 

@@ -52,10 +52,10 @@ class Safety:
 
     low, high: (C,) the window of commands · slew, acceleration: per s and s² of each command · jump: by which a target
     may jump untold, and beyond which it is refused · tension: N of any tendon, None where no simulation tells ·
-    stale, hold, slacken, ramp: s, as in docs/safety.md · band: that a goal comes back before its servo turns · turns:
-    reversals a second in the long run, `burst` at once · simulated: the largest tension (N) and strain in the window
-    and the modulus (MPa) that they belong to, as far as known · assumes: that in words, and what is a choice · edited:
-    the file is not the one that was written with the bundle.
+    stale, hold, slacken, ramp: s, as in docs/reference/safety.md · band: that a goal comes back before its servo
+    turns · turns: reversals a second in the long run, `burst` at once · simulated: the largest tension (N) and strain
+    in the window and the modulus (MPa) that they belong to, as far as known · assumes: that in words, and what is a
+    choice · edited: the file is not the one that was written with the bundle.
     """
 
     unit: str

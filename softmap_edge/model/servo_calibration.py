@@ -216,19 +216,19 @@ class Calibration:
             ) from None
 
 
-def converted(model: Model, run: Run) -> Run:
+def converted(model: Model | None, run: Run) -> Run:
     """Return the run with its ticks as commands, by the calibration of the model; unchanged if either is missing.
 
     Args:
-        model: with a `calibration`; or without, then that of the loop that drove the robot counts, if the run holds
-            it; or in ticks, which it takes as commands.
+        model: with a `calibration`; without one, or if None, that of the loop that drove the robot counts,
+            if the run holds it; or in ticks, which it takes as commands.
         run: `ticks` become `command`, `present_ticks` become `present` unless the run has that; the measured points are
             the same array.
 
     Raises:
         CalibrationError: the run has another number of servos than the calibration, or its own is none.
     """
-    calibration, unit = model.calibration, model.command_unit
+    calibration, unit = (None, "mm") if model is None else (model.calibration, model.command_unit)
     if calibration is None and unit == TICKS:
         return commanded_in_ticks(run)
     calibration = calibration or _driven_by(run, unit)
@@ -239,8 +239,8 @@ def converted(model: Model, run: Run) -> Run:
         return run
     if run.channels != len(calibration.b):
         raise CalibrationError(
-            f"the run has {run.channels} servos, the calibration of '{model.robot}' is of {len(calibration.b)}; it is "
-            "a run of another robot"
+            f"the run has {run.channels} servos, the calibration of '{(model or run).robot}' is of "
+            f"{len(calibration.b)}; it is a run of another robot"
         )
     return _commanded(run, calibration)
 
@@ -318,7 +318,7 @@ def _driven(run: Run, drive: Run) -> Run:
     return whole
 
 
-def _numbers(name: str, value: Any) -> Floats:
+def _numbers(name: str, value: object) -> Floats:
     """Return finite numbers of a plausible size."""
     array = np.asarray(value)
     if array.dtype.kind not in "fiu":

@@ -448,14 +448,14 @@ def _effect(row: Mapping[str, Any]) -> ShownEffect:
     )
 
 
-def _settles(row: Mapping[str, Any]) -> str:
+def _settles(row: Mapping[str, object]) -> str:
     settles, apart = row.get("settles"), number(row.get("separation"))
     named = ", ".join(map(str, settles)) if isinstance(settles, (list, tuple)) else str(settles or "")
     time = "" if (minutes := number(row.get("minutes"))) is None else f"{minutes:g} min: "
     return f"{time}settles {named}" + ("" if apart is None else f"; expected separation {apart:.3g} (chi², simulated)")
 
 
-def _unexplained(left: Mapping[str, Any], unit: str) -> Rows:
+def _unexplained(left: Mapping[str, object], unit: str) -> Rows:
     if not left:
         return []
     by = left.get("predicted_by")

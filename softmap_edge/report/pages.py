@@ -71,7 +71,7 @@ def _environment(*folders: Path) -> Environment:
     return environment
 
 
-def _shown(value: Any) -> Any:
+def _shown(value: object) -> Any:
     """Return what is shown of a value: markup as it is, all else as printable text."""
     return value if isinstance(value, Markup) else printable(str(value))
 

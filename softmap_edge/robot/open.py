@@ -1,4 +1,4 @@
-"""A bench with the finger on it, and its robot for a program of a user's own: what docs/own_program.md shows.
+"""A bench with the finger on it, and its robot for a program of a user's own: what docs/do/own_program.md shows.
 
 Pinned by tests/robot/test_own_program.py, and by the tests of the verbs that drive.
 """

@@ -103,7 +103,7 @@ class _Load:
     def __get__(self, run: Run | None, owner: type[Run]) -> Callable[..., Run] | Array | None:
         return _load if run is None else run.__dict__["load"]
 
-    def __set__(self, run: Run, value: Any) -> None:
+    def __set__(self, run: Run, value: object) -> None:
         run.__dict__["load"] = None if value is _load else value  # the default is the reader itself
 
 
@@ -395,7 +395,8 @@ class Run:
         """Return a piece of the run: a span of time, or a block (`run_cut.cut`).
 
         Args:
-            start, end: s; frames with start <= time < end. None stands for the begin or end of the run.
+            start: time in s; frames with start <= time < end are kept. None: from the first one on.
+            end: time in s. None: to the last frame.
             block: a label, in place of a time.
             lead_s: s of commands that are kept before the first frame, so that memory is still right.
 

@@ -1,1 +1,1 @@
-"""Models of sweeps made elsewhere: commands and points from any simulator or recording."""
+"""Models of imported sweeps: commands and points from any simulator or recording."""

@@ -1,6 +1,6 @@
 """Read an imported sweep: commands and the shapes that another simulator, or a motion capture, found for them.
 
-An `.npz` archive (numpy.savez); docs/elsewhere.md explains every field with an example.
+An `.npz` archive (numpy.savez); docs/do/import_sweep.md explains every field with an example.
 
     command          (S, C)     required; mm of tendon, + pulls, or in `command_unit`
     vertices         (S, N, 3)  required; mm in the base frame: vertices of a mesh, or markers; in every row the same

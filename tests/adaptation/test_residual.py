@@ -1,6 +1,6 @@
 """A residual is learned, carried and predicted with; a diagnosis takes it out, so that it hides no physics.
 
-The commands of docs/residual.md run as they stand there, and print what stands there.
+The commands of docs/do/residual.md run as they stand there, and print what stands there.
 """
 
 import json
@@ -23,7 +23,7 @@ from softmap_edge.run.protocol import Limits
 from softmap_edge.synthetic.finger import HiddenEffect, Truth
 
 MODEL = builtin_model()
-PAGE = (Path(__file__).parents[2] / "docs/residual.md").read_text(encoding="utf-8")
+PAGE = (Path(__file__).parents[2] / "docs/do/residual.md").read_text(encoding="utf-8")
 PAYLOAD = {"payload.mass": 15.0}
 SOME = [
     "offset",

@@ -1,4 +1,4 @@
-"""docs/registration.md as its reader runs it: its commands, its file formats, its figures and what it prints."""
+"""docs/do/registration.md as its reader runs it: its commands, its file formats, its figures and what it prints."""
 
 import io
 import json
@@ -23,7 +23,7 @@ from softmap_edge.fem import finger
 from softmap_edge.geometry.rigid import RigidPose, rotation, rotation_vector
 from softmap_edge.robot.emulated.published_map import PUBLISHED
 
-PAGE = (Path(__file__).parents[2] / "docs/registration.md").read_text(encoding="utf-8")
+PAGE = (Path(__file__).parents[2] / "docs/do/registration.md").read_text(encoding="utf-8")
 
 
 def worded(text):
@@ -39,7 +39,7 @@ def reader(tmp_path_factory):
         patch.chdir(folder)
         for language, text in blocks(PAGE):
             if language == "python":
-                exec(compile(text, "docs/registration.md", "exec"), {})
+                exec(compile(text, "docs/do/registration.md", "exec"), {})
             for words in lines(text) if not language else ():
                 assert words[0] == "softmap" and main(words[1:]) == 0, words
     return folder, said.getvalue()

@@ -1,4 +1,4 @@
-"""docs/beam.md as written: its commands run, and its numbers come from the recordings.
+"""docs/learn/beam.md as written: its commands run, and its numbers come from the recordings.
 
 Without the recordings everything here is skipped and says so; `make data` brings them.
 """
@@ -16,7 +16,7 @@ from softmap_edge import Finger
 from softmap_edge.logs.importer import import_logs
 from softmap_edge.logs.mapping import parse_mapping
 
-PAGE = (ROOT / "docs/beam.md").read_text(encoding="utf-8")
+PAGE = (ROOT / "docs/learn/beam.md").read_text(encoding="utf-8")
 SHAPES, RINGING = PAGE.split("## 5. ")
 LINES = {"gravity_V2_a": "own weight, fitted", "gravity_V2_b": "own weight, again"}
 LINES |= {"load52_V2_a": "52 g", "load101_V2_a": "101 g"}

@@ -1,4 +1,4 @@
-"""docs/moe.md as written: a published mesh with hollow channels imports, sweeps without a failure, keeps its promises.
+"""docs/do/mesh.md as written: a published mesh with hollow channels imports, sweeps without a failure, keeps promises.
 
 Without the mesh everything here is skipped and says so; `make data` brings it.
 """
@@ -17,7 +17,7 @@ from softmap_edge.fem.finger import Tendon
 from softmap_edge.fem.simulator import Simulator
 
 AGREEMENT = 0.12  # of the motion, RMS over the vertices that are not held
-PAGE = (ROOT / "docs/moe.md").read_text(encoding="utf-8")
+PAGE = (ROOT / "docs/do/mesh.md").read_text(encoding="utf-8")
 
 
 @pytest.fixture(scope="module")

@@ -110,15 +110,6 @@ def test_an_old_name_works_and_says_the_new_one_in_one_line(old, capsys):
     assert done.err == f"softmap: `softmap {old}` is now `softmap {new}`; the old name is gone after 0.1.0\n"
 
 
-def test_the_page_of_commands_lists_them_all():
-    (page,) = (ROOT / "docs").rglob("commands.md")
-    text = page.read_text(encoding="utf-8")
-    for command in BUILTIN:
-        assert f"| `{command.name}` | {command.help} |" in text
-    for old, new in RENAMED.items():
-        assert f"| `{old}` | `{new}` |" in text
-
-
 def test_help_alone_of_an_action_and_of_nothing(capsys):
     assert main(["help"]) == 0 and "usage: softmap COMMAND" in capsys.readouterr().out
     assert main(["help", "servo", "scan"]) == 0 and "usage: softmap servo scan" in capsys.readouterr().out

@@ -1,4 +1,4 @@
-"""docs/own_effect.md as its reader runs it: an unknown error remains, and the user's own effect explains it.
+"""docs/do/own_effect.md as its reader runs it: an unknown error remains, and the user's own effect explains it.
 
 The finger is that of off_centre.py: solved by finite elements, with exact winding, which no effect of any form is.
 """
@@ -19,7 +19,7 @@ from softmap_edge.model.user_effect import forget_effect, loaded
 from softmap_edge.robot.emulated.named_laws import OffCentreSpool
 from softmap_edge.run.run import Run
 
-PAGE = (ROOT / "docs/own_effect.md").read_text(encoding="utf-8")
+PAGE = (ROOT / "docs/do/own_effect.md").read_text(encoding="utf-8")
 EXAMPLE = (ROOT / "examples/off_centre_pulley.py").read_text(encoding="utf-8")
 FALL = 0.8  # of the removable error
 

@@ -1,153 +1,157 @@
-"""README as written: every Python block and every `softmap` line is run, on files like those a reader would bring.
+"""README and the first pages of docs/learn as a newcomer follows them: the demo, then the lines on what it leaves.
 
-The reader's files: a finger.toml (the built-in finger, coarser and moving less, so that its sweep takes seconds), the
-log of a second finger on another mesh with hidden backlash, as CSV with a mapping, and a run of another kind.
+Every line that docs/learn/demo.md and docs/learn/own_csv.md quote is printed, and the demo prints no other.
 """
 
+import contextlib
+import importlib.util
+import io
+import os
 import re
 import shlex
+import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
-from page import blocks, lines
+from page import ROOT, blocks, lines
 
-from softmap_edge import Run, _core, import_logs, load_bundle, read_mapping
+from softmap_edge import Run, load_bundle, read_mapping
 from softmap_edge.cli import main
-from softmap_edge.fem.finger import Finger
-from softmap_edge.fem.simulator import Simulator
-from softmap_edge.robot.emulated.laws import LAWS
-from softmap_edge.run.protocol import Protocol, other_protocol, standard_protocol
 
-ROOT = Path(__file__).parents[2]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
-BLOCKS = blocks(README)
-PROSE = re.sub(r"^```.*?^```$", "", README, flags=re.MULTILINE | re.DOTALL)
-REACH, NOISE = 8.0, 0.1  # mm: largest command of the log; σ of each marker coordinate
+DEMO = (ROOT / "docs/learn/demo.md").read_text(encoding="utf-8")
+CSV = (ROOT / "docs/learn/own_csv.md").read_text(encoding="utf-8")
 
 
-COMMANDS = [words for language, text in BLOCKS if language != "python" for words in lines(text)]
-PYTHON = [text for language, text in BLOCKS if language == "python"]
-INLINE = [shlex.split(text) for text in re.findall(r"`(softmap [^`]*)`", PROSE)]
-
-MAPPING = """schema = "softmap.mapping/1"
-robot = "moe-finger"
-[[log]]
-time = {{ column = "t" }}
-command = {{ columns = ["u0", "u1"], unit = "mm" }}
-markers = {{ columns = [{columns}], unit = "mm" }}
-[seen]
-rate_hz = 2.5
-[constant]
-gravity = [0.0, 0.0, 1.0]
-sigma_mm = {noise}
-marker_rest_mm = {rest}
-"""
+def commands(page):
+    """Return the command lines of a page, a line of the shell (`a && b`) as several."""
+    split = [re.split(r" && ", line) for language, text in blocks(page) if language == "" for line in text.splitlines()]
+    return [words for parts in split for part in parts for words in lines(part)]
 
 
-class SecondFinger:
-    """Another mesh of the reader's finger, softer silicone and play in its tendons, seen by 20 markers."""
-
-    def __init__(self, finger):
-        first = Simulator(finger)
-        other = Simulator(
-            finger.replace(layers=finger.solid.layers + 3, young_mpa=0.95 * finger.young_mpa), template=first.template
-        )
-        rest = np.asarray(first.template.vertices)
-        rings = [np.flatnonzero(np.abs(rest[:, 2] - z) < 1e-6) for z in np.unique(rest[:, 2].round(6))]
-        rings = [ring for ring in rings if len(ring) >= 4][2::2]
-        chosen = np.concatenate([ring[:: len(ring) // 4][:4] for ring in rings])
-        axes = [np.linspace(-10, 10, 11)] * 2
-        points = np.asarray(other.sweep(axes).vertices)[:, chosen].reshape(121, -1)
-        self.rest = rest[chosen]
-        self.table = _core.Table(axes, points - points.mean(0), points.mean(0), np.eye(points.shape[1]))
-        self.play = LAWS["backlash"].draw(np.random.default_rng(1), 2)
-
-    def log(self, protocol: Protocol, seed):
-        """Return t, commands and markers at 10 Hz, hanging."""
-        turned = int(np.argmax(np.any(protocol.gravity != protocol.gravity[0], axis=1)))
-        rows = slice(0, turned, 5)
-        t, u = protocol.t[:turned], protocol.command[:turned]
-        seen = self.table.evaluate(np.ascontiguousarray(self.play.command(t, u)[rows]))
-        seen = seen + NOISE * np.random.default_rng(seed).normal(size=seen.shape)
-        return t[rows], u[rows], seen.reshape(len(seen), -1, 3)
+def quoted(page):
+    """Return the lines that a page quotes from the output."""
+    return [line.rstrip() for language, text in blocks(page) if language == "text" for line in text.splitlines()]
 
 
-def write_log(path, t, u, markers):
-    names = ["t", "u0", "u1"] + [f"{axis}{k}" for k in range(markers.shape[1]) for axis in "xyz"]
-    table = np.column_stack([t, u, markers.reshape(len(t), -1)])
-    np.savetxt(path, table, delimiter=",", header=",".join(names), comments="", fmt="%.5f")
+def run(words):
+    """Run one line of a newcomer: change the folder or call softmap; everything else is for the shell."""
+    if words[0] == "cd":
+        os.chdir(words[1])
+    elif words[0] == "softmap":
+        assert main(words[1:]) == 0, words
+    else:
+        assert words[0] in ("make", "source"), words
 
 
-@pytest.fixture(scope="module")
-def reader(tmp_path_factory):
-    """A folder with what a reader brings, and what the commands of the README left in it."""
-    folder = tmp_path_factory.mktemp("reader")
-    text = (ROOT / "softmap_edge/data/finger.toml").read_text(encoding="utf-8")
-    for old, new in (("core = 3", "core = 2"), ("layers = 42", "layers = 12"), ("-16.0, 16.0", "-10.0, 10.0")):
-        assert old in text
-        text = text.replace(old, new)
-    (folder / "finger.toml").write_text(text, encoding="utf-8")
-    finger = SecondFinger(Finger.load(folder / "finger.toml"))
-    columns = ", ".join(f'["x{k}", "y{k}", "z{k}"]' for k in range(len(finger.rest)))
-    mapping = MAPPING.format(columns=columns, noise=NOISE, rest=finger.rest.round(6).tolist())
-    (folder / "map.toml").write_text(mapping, encoding="utf-8")
-    write_log(folder / "LOG.csv", *finger.log(standard_protocol(2, reach=REACH), 1))
-    write_log(folder / "other.csv", *finger.log(other_protocol(2, reach=REACH), 2))
-    import_logs([folder / "other.csv"], read_mapping(folder / "map.toml")).run.save(folder / "other_run.npz")
-    t, u, markers = finger.log(standard_protocol(2, reach=REACH), 3)
-    bodies = markers.reshape(len(t), -1, 4, 3).mean(2)[:, [0, 2, 4]]  # a tracked body for every other ring
-    reference = Run(t=t, command=u, t_seen=t, markers=bodies, gravity=np.array([0.0, 0.0, 1.0]), robot="moe-finger")
-    reference.save(folder / "reference.npz")
-    return folder
-
-
-@pytest.fixture(scope="module")
-def done(reader):
-    """Run every command of the README's blocks in their order; give (words, exit code) and the folder."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.chdir(reader)
-        return reader, [(words, main(words[1:])) for words in COMMANDS if words[0] == "softmap"]
-
-
-def test_the_blocks_are_what_this_test_knows_how_to_run():
-    assert {language for language, _ in BLOCKS} <= {"", "python"}
-    assert {words[0] for words in COMMANDS} == {"make", "softmap"} and PYTHON and INLINE
-    targets = set(re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE))
-    used = {words[1] for words in COMMANDS if words[0] == "make"} | set(re.findall(r"`make (\w+)`", PROSE))
-    assert {"demo", "test"} <= used <= targets
-
-
-def test_every_command_works_and_the_error_falls(done):
-    folder, results = done
-    assert len(results) >= 7
-    assert [words for words, code in results if code != 0] == []
-    changed = load_bundle(folder / "finger2")
-    assert {"backlash"} <= set(changed.chain_names) <= {"backlash", "stiffness"}  # what its finger has, and no more
-    assert load_bundle(folder / "finger").chain_names == ()
-    assert (folder / "d.html").read_text(encoding="utf-8").startswith("<!doctype html")
-    assert load_bundle(folder / "robot").kind == "rod"
-
-
-def test_the_python_blocks_work(done, monkeypatch, capsys):
-    folder, _ = done
-    monkeypatch.chdir(folder)
-    for text in PYTHON:
-        exec(compile(text, "README.md", "exec"), {})
-    said = capsys.readouterr().out
-    assert "noise floor" in said and "Verdict:" in said
-    assert "backlash" in load_bundle(folder / "finger2").chain_names
-
-
-@pytest.mark.parametrize("words", INLINE, ids=" ".join)
-def test_commands_in_the_prose_work(words, tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    assert main(words[1:]) == 0
-    said = capsys.readouterr().out
-    named = re.search(r"^Open (.*report\.html)$", said, re.MULTILINE)
-    assert named and Path(named[1]).is_file() and "Hidden:" in said
-
-
-def test_links_and_pictures_are_there():
-    for target in re.findall(r"\]\(([^)#]+)\)", README):
+def test_links_and_pictures_of_the_readme_are_there():
+    targets = [target for _, target in re.findall(r"\[([^\]]*)\]\(([^)#]+)\)", README)]
+    assert len(targets) >= 7
+    for target in targets:
         assert target.startswith("https://") or (ROOT / target).is_file(), target
+
+
+def test_the_two_commands_are_targets_of_the_makefile():
+    targets = set(re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE))
+    used = {words[1] for words in commands(README) if words[0] == "make"} | set(re.findall(r"`make ([\w-]+)`", README))
+    assert {"demo", "test"} <= used <= targets
+    rule = re.search(r"^demo:.*\n\t(.*)$", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE)[1]
+    assert shlex.split(rule)[1:] == ["demo", "--out", "$(OUT)/demo"]
+
+
+def test_the_readme_is_one_screen():
+    assert len(README.splitlines()) <= 55
+
+
+# --- the demo: one run of a minute for all of it ------------------------------------------------
+@pytest.fixture(scope="module")
+def demo_printed(tmp_path_factory):
+    """Run the demo as its page does; give its folder and what it prints."""
+    folder = tmp_path_factory.mktemp("demo")
+    text = io.StringIO()
+    with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stdout(text):
+        patch.chdir(folder)
+        run(commands(DEMO)[0])
+    return folder, text.getvalue()
+
+
+def test_its_page_quotes_every_line(demo_printed):
+    made = [
+        line.rstrip() for line in demo_printed[1].splitlines() if not re.search(r"solving, \d+ ?%|^\(\d+ s\)", line)
+    ]
+    assert [line for line in made if line] == [line for line in quoted(DEMO) if line]
+
+
+def test_the_lines_of_the_readme_work_on_what_it_leaves(demo_printed, monkeypatch, capsys):
+    folder, _ = demo_printed
+    monkeypatch.chdir(folder)
+    there = [words for words in commands(README) if words[0] in ("cd", "softmap")]
+    assert there[0] == ["cd", "out/demo"] and len(there) == 5
+    for words in there:
+        run(words)
+    out = capsys.readouterr().out
+    error = re.findall(r"^  rms +([\d.]+)", out, re.MULTILINE)
+    assert "sound     run.npz" in out and "Verdict: identified" in out and float(error[-1]) < 0.6
+    assert load_bundle("better").chain_names == ("hysteresis",)
+    assert Path("d.html").read_text(encoding="utf-8").startswith("<!doctype html")
+
+
+def test_the_lines_of_its_page_work_on_what_it_leaves(demo_printed, monkeypatch, tmp_path):
+    shutil.copytree(demo_printed[0] / "out", tmp_path / "out")
+    monkeypatch.chdir(tmp_path)
+    shutil.rmtree(tmp_path / "out/demo/better", ignore_errors=True)  # of the README's lines
+    for words in commands(DEMO)[1:]:
+        run(words)
+    left = {row for row in re.findall(r"^\| `([\w./]+)` \|", DEMO, re.MULTILINE)}
+    assert left == {"run.npz", "other_run.npz", "diagnosis.json", "report.html", "finger2/"}
+    assert all(Path(name).exists() for name in left)
+
+
+# --- the sample log from file to validated model ------------------------------------------------
+@pytest.fixture(scope="module")
+def csv_printed(tmp_path_factory):
+    """Run every command of the page in its order; give the folder and what they print."""
+    folder, text = tmp_path_factory.mktemp("csv"), io.StringIO()
+    shutil.copytree(ROOT / "examples", folder / "examples")
+    with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stdout(text):
+        patch.chdir(folder)
+        for words in commands(CSV):
+            run(words)
+    return folder, text.getvalue()
+
+
+def test_what_the_page_quotes_is_printed_or_in_the_log(csv_printed):
+    log = (ROOT / "examples/sample_log.csv").read_text(encoding="utf-8").splitlines()
+    made = [line.rstrip() for line in csv_printed[1].splitlines()]
+    for line in (line for line in quoted(CSV) if line):
+        assert line in made or any(row.startswith(line) for row in log[:2]), line
+
+
+def test_the_hidden_effect_is_found_and_the_error_falls(csv_printed):
+    assert load_bundle(csv_printed[0] / "better").chain_names == ("backlash",)
+    errors = [float(rms) for rms in re.findall(r"^  rms +([\d.]+)", csv_printed[1], re.MULTILINE)]
+    assert errors[-1] < 0.25 * errors[-2]
+
+
+def test_the_proposal_differs_from_the_mapping_as_the_page_says(csv_printed):
+    proposed = read_mapping(csv_printed[0] / "proposed.toml")
+    mapping = read_mapping(ROOT / "examples/sample_map.toml")
+    assert proposed.command_unit == mapping.command_unit and len(proposed.logs) == len(mapping.logs)
+    (block,) = [text for language, text in blocks(CSV) if language == "toml"]
+    example = (ROOT / "examples/sample_map.toml").read_text(encoding="utf-8")
+    assert all(line in example for line in block.splitlines())
+    assert mapping.robot == "moe-finger" and Run.load(csv_printed[0] / "run.npz").robot == "moe-finger"
+
+
+@pytest.mark.prove
+def test_the_sample_logs_are_those_of_the_script(tmp_path):
+    """Two solutions of a hundred seconds each; the values agree to the last digit that is written."""
+    spec = importlib.util.spec_from_file_location("make_sample_log", ROOT / "examples/make_sample_log.py")
+    script = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(script)
+    assert script.main([str(tmp_path)]) == 0
+    for name in ("sample_log.csv", "sample_other.csv"):
+        made = np.loadtxt(tmp_path / name, delimiter=",", skiprows=1)
+        kept = np.loadtxt(ROOT / "examples" / name, delimiter=",", skiprows=1)
+        np.testing.assert_allclose(made, kept, atol=0.011)  # one digit of the file: threads add in another order

@@ -11,7 +11,7 @@ DOCS = Path(__file__).parents[2] / "docs"
 
 
 def test_the_page_of_the_bank_lists_every_constant_with_its_value():
-    page = (DOCS / "bank.md").read_text(encoding="utf-8")
+    page = (DOCS / "benchmarks/bank.md").read_text(encoding="utf-8")
     rows = re.findall(r"^\| `([A-Z_]+)` \| ([^|]+) \| ([^|]+) \|$", page, re.MULTILINE)
     listed = {name: tuple(float(number) for number in values.split(",")) for name, values, _ in rows}
     constants = {name: value for name, value in vars(decision).items() if name.isupper()}
@@ -21,7 +21,7 @@ def test_the_page_of_the_bank_lists_every_constant_with_its_value():
 
 
 def test_the_page_of_words_explains_every_verdict_and_names_every_family():
-    page = (DOCS / "words.md").read_text(encoding="utf-8")
+    page = (DOCS / "reference/report.md").read_text(encoding="utf-8")
     for words in VERDICTS.values():
         assert f"\n| {words.split(':')[0]} |" in page, words
     (row,) = re.findall(r"^\| family \| (.*) \|$", page, re.MULTILINE)

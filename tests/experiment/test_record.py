@@ -1,4 +1,4 @@
-"""docs/record.md as written: its commands run, what it quotes is printed, and its times are those of the protocol."""
+"""docs/do/record.md as written: its commands run, its quotes are printed, its times are those of the protocol."""
 
 import re
 from dataclasses import replace
@@ -20,7 +20,7 @@ from softmap_edge.run.protocol import standard_protocol
 from softmap_edge.synthetic.virtual_protocol import virtual_protocol
 
 WEIGHT = {"payload.mass": 9.0}
-PAGE = (Path(__file__).parents[2] / "docs/record.md").read_text(encoding="utf-8")
+PAGE = (Path(__file__).parents[2] / "docs/do/record.md").read_text(encoding="utf-8")
 BLOCKS = blocks(PAGE)
 PROSE = re.sub(r"^```.*?^```$", "", PAGE, flags=re.MULTILINE | re.DOTALL)
 
@@ -59,7 +59,7 @@ def page(tmp_path_factory):
         patch.setattr("builtins.print", lambda *a, **k: printed.setdefault(words, []).append(" ".join(map(str, a))))
         for language, text in [*BLOCKS, ("", "\n".join(" ".join(words) for words in inline))]:
             if language == "python":
-                exec(compile(text, "docs/record.md", "exec"), {})
+                exec(compile(text, "docs/do/record.md", "exec"), {})
             elif language == "":
                 for argv in lines(text):
                     words = " ".join(argv[1:])
@@ -130,4 +130,4 @@ def test_the_times_of_the_page_are_those_of_the_protocol():
 
 def test_every_effect_has_its_part_of_the_protocol():
     for effect in _core.effects():
-        assert f"`{effect['name']}`" in PAGE, f"docs/record.md does not say what shows {effect['name']}"
+        assert f"`{effect['name']}`" in PAGE, f"docs/do/record.md does not say what shows {effect['name']}"

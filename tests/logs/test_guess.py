@@ -219,7 +219,7 @@ def test_without_a_header_it_says_that_it_cannot_know(tmp_path):
     path = written(tmp_path, text.split("\n", 1)[1])
     with pytest.raises(RunError, match=r"no column looks like a command or a marker .*0 \(0 to 1\.9\)") as fault:
         guess_mapping([path])
-    assert "docs/mapping.md" in str(fault.value) and "\n" not in str(fault.value)
+    assert "docs/reference/mapping.md" in str(fault.value) and "\n" not in str(fault.value)
 
 
 def test_what_fails_on_trial_is_said(tmp_path):

@@ -57,7 +57,8 @@ LEANING = (np.sin(np.radians(35.0)), 0.0, np.cos(np.radians(35.0)))
     ],
 )
 def test_loads_move_the_built_in_finger_as_the_simulator_says(finger, gravity, grams, limit):
-    """The limits that docs/effects.md states: shares of what the load moves, RMS over vertices and eleven commands."""
+    """The limits that docs/reference/effects.md states: shares of what the load moves, RMS over vertices and eleven
+    commands."""
     u = np.vstack([np.zeros((1, 2)), np.random.default_rng(3).uniform(-14.0, 14.0, (10, 2))])
     simulator = Simulator(Finger.builtin())
     truth = simulator.path(u, gravity=gravity, load=9.80665e-3 * grams * np.array(gravity)) - simulator.path(u)

@@ -42,7 +42,7 @@ def test_it_is_documented(name):
         assert p["doc"].strip() and p["unit"].strip() and p["low"] <= p["start"] <= p["high"]
         assert p["log"] == (p["low"] > 0 and not p["integer"])
         assert not p["integer"] or all(p[key] == int(p[key]) for key in ("null", "start", "low", "high"))
-    page = (Path(__file__).parents[2] / "docs" / "effects.md").read_text(encoding="utf-8")
+    page = (Path(__file__).parents[2] / "docs/reference/effects.md").read_text(encoding="utf-8")
     assert f"## {name}\n" in page and effect["signature"] in page
 
 

@@ -2,7 +2,6 @@
 
 import importlib
 import pkgutil
-import re
 import subprocess
 import sys
 from pathlib import Path
@@ -56,18 +55,6 @@ def test_no_file_is_longer_than_a_reader_can_hold_in_mind():
     counts = {str(file.relative_to(root)): len(file.read_text(encoding="utf-8").splitlines()) for file in files}
     long = {name: count for name, count in counts.items() if count > LONGEST}
     assert not long, f"split by concept: {long}"
-
-
-def test_every_document_is_listed():
-    root = Path(__file__).parents[2]
-    files = [
-        file for folder in ("softmap_edge", "training/softmap_training", "rust") for file in (root / folder).rglob("*")
-    ]
-    code = "".join(file.read_text(encoding="utf-8") for file in files if file.suffix in (".py", ".rs"))
-    found = set(re.findall(r'"(softmap\.[a-z0-9_]+/\d+)', code))
-    page = (root / "docs/design.md").read_text(encoding="utf-8")
-    (block,) = re.findall(r"Documents and files carry their name and version: ([^.]*(?:\.[a-z][^.]*)*)\.", page)
-    assert found == set(re.findall(r"softmap\.[a-z0-9_]+/\d+", block))
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,5 @@
-"""Bad input: the table of docs/safety.md, each row driven; its line as it is said, its state as the loop reports it."""
+"""Bad input: each row of the table in docs/reference/safety.md, with its message and the state that the loop
+reports."""
 
 import io
 import json

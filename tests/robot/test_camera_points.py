@@ -228,7 +228,7 @@ def test_a_frame_holds_what_was_not_seen_as_nan():
     assert isinstance(Frame(0.0, 0.0, POINTS), Frame) and points_udp.MARK == b"SMP1"
 
 
-PAGE = (Path(__file__).parents[2] / "docs/camera.md").read_text(encoding="utf-8")
+PAGE = (Path(__file__).parents[2] / "docs/do/camera.md").read_text(encoding="utf-8")
 
 
 def test_what_the_page_says_can_be_typed(tmp_path, monkeypatch):
@@ -237,7 +237,7 @@ def test_what_the_page_says_can_be_typed(tmp_path, monkeypatch):
     names = {command.name: command for command in COMMANDS}
     for language, text in blocks(PAGE):
         if language == "python":
-            exec(compile(text, "docs/camera.md", "exec"), {})
+            exec(compile(text, "docs/do/camera.md", "exec"), {})
         for words in lines(text) if language == "" else ():
             parser = argparse.ArgumentParser(exit_on_error=False)
             two = " ".join(words[1:3])

@@ -1,4 +1,4 @@
-"""docs/commission.md: from servos as delivered to a tracked circle, each command as its reader types it."""
+"""docs/do/commission.md: from servos as delivered to a tracked circle, each command as its reader types it."""
 
 import json
 from pathlib import Path
@@ -13,7 +13,7 @@ from softmap_edge.robot.emulated.finger import emulated_bench
 from softmap_edge.robot.servo.rig import read_rig
 
 ROOT = Path(__file__).parents[2]
-PAGE = (ROOT / "docs/commission.md").read_text(encoding="utf-8")
+PAGE = (ROOT / "docs/do/commission.md").read_text(encoding="utf-8")
 STEPS = ["scan", "setup", "setup", "read", "home", "calibrate", "pull", "limits", "doctor", "move", "move", "track"]
 
 
@@ -57,4 +57,4 @@ def test_from_the_box_to_ready(tmp_path, monkeypatch, capsys):
 
 
 def test_the_guards_page_leads_here():
-    assert "(commission.md)" in (ROOT / "docs/safety.md").read_text(encoding="utf-8")
+    assert "(../do/commission.md)" in (ROOT / "docs/reference/safety.md").read_text(encoding="utf-8")

@@ -135,7 +135,7 @@ def test_a_running_loop_takes_nobody_s_word_for_home_and_the_next_start_asks_for
             assert robot.state == "connected" and not torque(bus)
             with pytest.raises(ServoError, match="'engage' is denied in state connected"):
                 robot.request("engage")
-        with pytest.raises(ServoError, match="home is not proved since power-up"):
+        with pytest.raises(ServoError, match="not homed since power-up"):
             Controller(rig, calibration(), limits).__enter__()
 
 
@@ -152,7 +152,7 @@ def test_a_fault_after_which_home_must_be_proved_is_kept_over_a_restart(how):
         until(
             lambda: abs(angles(bus) - HOME).max() < WINDOW[1]
         )  # it ran far behind its encoder, and its tendon pulls it back
-        with pytest.raises(ServoError, match="servo 1: home is not proved since power-up"):
+        with pytest.raises(ServoError, match="servo 1: not homed since power-up"):
             Controller(rig, calibration(), limits).__enter__()
         set_up(bus.path)
         with Controller(rig, calibration(), limits) as robot:

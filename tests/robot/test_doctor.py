@@ -62,7 +62,7 @@ def test_a_bench_that_is_well(tmp_path, capsys, any_computer):
     "breaks, name, found, do",
     [
         (lambda bus: bus.damage(0, mute=True), "servo 1", "no answer", "check power"),
-        (lambda bus: bus.reset(1), "home of servo 2", "home is not proved since power-up", "softmap servo home"),
+        (lambda bus: bus.reset(1), "home of servo 2", "not homed since power-up", "softmap servo home"),
         (lambda bus: bus.fail(1, 0x20), "servo 2", "it reports overload", "softmap servo reboot"),
         (lambda bus: bus.rename(0, 9), "servo 1", "no answer, but id 9 answers", "--id 9 --new-id 1"),
         (lambda bus: bus.unplug(), "bus", "no such port", "softmap servo scan"),
@@ -309,9 +309,9 @@ def test_a_home_is_said_once_with_a_remedy_that_is_complete(tmp_path):
         rig.write(tmp_path / "rig.toml")
         bus.reset(1)
         line = named(doctor.examine(rig=tmp_path / "rig.toml").lines, "home of servo 2")
-        assert line.found.startswith("home is not proved") and line.found.count("(") == line.found.count(")") == 1
+        assert line.found.startswith("not homed") and line.found.count("(") == line.found.count(")") == 1
         assert line.do == (
-            f"let the finger hang straight and prove it with `softmap servo home --rig {tmp_path}/rig.toml`"
+            f"let the finger hang straight and home the robot with `softmap servo home --rig {tmp_path}/rig.toml`"
         )
         Rig(rig.port, rig.baud, tuple(replace(one, home=HOME - 400) for one in rig.servos)).write(tmp_path / "rig.toml")
         with opened(rig.port, rig.baud) as port:

@@ -1,4 +1,4 @@
-"""Every fault in every state: the table of docs/safety.md, each cell through the loop's process and a terminal."""
+"""Every fault in every state: the table of docs/reference/safety.md, each cell through loop process and terminal."""
 
 import re
 import signal
@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from loops import LEADS_ON, PATIENCE, STATES, Loop
 
-PAGE = Path(__file__).parents[2] / "docs" / "safety.md"
+PAGE = Path(__file__).parents[2] / "docs/reference/safety.md"
 FEW = 8  # periods by which anything may be later than its time: two of them are the way to the servos and back
 WIRED = 3.0  # s of a poor wire at the limits of verbs
 TRIES = 4  # where the machine was seen to be too busy to tell

@@ -59,7 +59,7 @@ def answers(file):
 
 def test_first_time_this_is_home_and_it_is_known_until_power_goes(wound, capsys):
     bus, file = wound
-    with pytest.raises(ServoError, match="servo 1 has no home; prove it with `softmap servo home"):
+    with pytest.raises(ServoError, match="servo 1 has no home; home the robot with `softmap servo home"):
         drive(file)
     assert home(file) == 0
     assert "servo 1: home at 1800 (set now)" in capsys.readouterr().out
@@ -74,7 +74,7 @@ def test_first_time_this_is_home_and_it_is_known_until_power_goes(wound, capsys)
     Rig(rig.port, rig.baud, tuple(RigServo(id, MODEL, FAR + 3 * 4096) for id in (1, 2))).write(file)
     power_cycle(bus)
     answers(file)
-    with pytest.raises(ServoError, match=r"servo 1: home is not proved since power-up \(turns are lost without power"):
+    with pytest.raises(ServoError, match=r"servo 1: not homed since power-up \(turns are lost without power"):
         drive(file)
     assert home(file, "--json") == 0
     document = json.loads(capsys.readouterr().out)
@@ -90,7 +90,7 @@ def test_one_servo_that_restarts_is_enough(wound):
     assert home(file) == 0
     bus.reset(1)
     answers(file)
-    with pytest.raises(ServoError, match="servo 2: home is not proved since power-up"):
+    with pytest.raises(ServoError, match="servo 2: not homed since power-up"):
         drive(file)
 
 
@@ -144,7 +144,7 @@ def test_setting_up_takes_the_proof_away(wound):
     bus, file = wound
     assert home(file) == 0
     assert main(["servo", "setup", "--port", bus.path, "--baud", str(BAUD), "--id", "1"]) == 0
-    with pytest.raises(ServoError, match="servo 1: home is not proved .* setting up .* need a new proof too"):
+    with pytest.raises(ServoError, match="servo 1: not homed .* setting up .* need homing again too"):
         drive(file)
 
 

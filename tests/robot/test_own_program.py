@@ -1,4 +1,4 @@
-"""The blocks of docs/own_program.md, in order, on the emulated robot that it names; and what opening one refuses."""
+"""The blocks of docs/do/own_program.md, in order, on the emulated robot that it names; and what opening one refuses."""
 
 import json
 import re
@@ -13,7 +13,7 @@ from softmap_edge.cli import main
 from softmap_edge.robot.control.recording import read_recording
 from softmap_edge.robot.link.points import PointReceiver
 
-PAGE = (Path(__file__).parents[2] / "docs/own_program.md").read_text(encoding="utf-8")
+PAGE = (Path(__file__).parents[2] / "docs/do/own_program.md").read_text(encoding="utf-8")
 
 
 def test_the_programs_of_the_page_run_one_after_another(tmp_path, monkeypatch, capsys):
@@ -30,7 +30,7 @@ def test_the_programs_of_the_page_run_one_after_another(tmp_path, monkeypatch, c
     with emulated(tmp_path, *hides, "--stream", f"udp://127.0.0.1:{port}") as (_, told, _):
         Path(told["bundle"]).rename("finger")
         for program in programs:
-            exec(compile(program.replace("9870", port), "docs/own_program.md", "exec"), names)
+            exec(compile(program.replace("9870", port), "docs/do/own_program.md", "exec"), names)
             sent.append((names["t"], names["done"]))
     _, second, *_ = capsys.readouterr().out.splitlines()
     t, done = sent[0]

@@ -100,7 +100,7 @@ def test_one_servo_keeps_what_was_found_of_the_other(folder, brief, capsys, monk
     [
         (lambda bus, file: bus.damage(0, torn=True), "pulls nothing there; look for a torn"),
         (lambda bus, file: bus.burden(0, 9.0), "look what holds it, or raise jog_current"),
-        (lambda bus, file: bus.reset(0), "home is not proved since power-up|servo 1: no answer"),
+        (lambda bus, file: bus.reset(0), "not homed since power-up|servo 1: no answer"),
         (lambda bus, file: bus.damage(0, jammed=True), "look what holds it"),
     ],
 )

@@ -36,7 +36,7 @@ def test_each_error_is_named_before_it_starts_and_restarted(bits, tmp_path, caps
         assert "next: softmap servo home --rig FILE" in out
         with opened(rig.port, rig.baud) as port:
             assert marked(port, 1, rig.servos[0].home) and not marked(port, 2, rig.servos[1].home)
-        with pytest.raises(ServoError, match="servo 2: home is not proved since power-up"):
+        with pytest.raises(ServoError, match="servo 2: not homed since power-up"):
             Controller(rig, calibration(), limits).__enter__()
         assert main(["servo", "home", "--rig", file, "--yes"]) == 0
         with Controller(rig, calibration(), limits) as robot:

@@ -308,7 +308,7 @@ def test_a_rig_that_is_no_file_is_refused(tmp_path):
 
 
 def test_each_line_of_faults_on_the_page_is_understood():
-    page = (Path(__file__).parents[2] / "docs/safety.md").read_text(encoding="utf-8")
+    page = (Path(__file__).parents[2] / "docs/reference/safety.md").read_text(encoding="utf-8")
     rows = page.split("| what is typed | what breaks |")[1].split("\n\n")[0].splitlines()[2:]
     typed = [line for row in rows for line in re.findall(r"`([^`]+)`", row.split("|")[1])]
     named = {line.split()[0] for line in typed}

@@ -1,4 +1,4 @@
-"""The verb: what it refuses, model and key, landmarks between two programs; the commands of docs/teleop.md."""
+"""The verb: what it refuses, model and key, landmarks between two programs; the commands of docs/do/teleop.md."""
 
 import argparse
 import json
@@ -25,7 +25,7 @@ from softmap_edge.robot.teleop.model_file import WHEEL
 from softmap_edge.robot.teleop.remote_sender import send
 from softmap_edge.robot.teleop.requirements import INSTALL
 
-PAGE = (Path(__file__).parents[2] / "docs/teleop.md").read_text(encoding="utf-8")
+PAGE = (Path(__file__).parents[2] / "docs/do/teleop.md").read_text(encoding="utf-8")
 PATIENT = 20.0
 
 

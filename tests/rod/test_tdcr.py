@@ -1,4 +1,4 @@
-"""docs/tdcr.md as written: its commands run, its numbers come out, and the tendons of a real robot are cables.
+"""docs/learn/tdcr.md as written: its commands run, its numbers come out, and the tendons of a real robot are cables.
 
 Without the logs everything here is skipped and says so; `make data` brings them.
 """
@@ -16,7 +16,7 @@ from page import ROOT, reader, run_commands
 from benches import tdcr
 from softmap_edge import Robot, learn_model, load_bundle
 
-PAGE = (ROOT / "docs/tdcr.md").read_text(encoding="utf-8")
+PAGE = (ROOT / "docs/learn/tdcr.md").read_text(encoding="utf-8")
 ROBOT = ROOT / "examples/tdcr_robot.toml"
 
 

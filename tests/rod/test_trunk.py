@@ -1,4 +1,4 @@
-"""docs/own_log.md as written: its commands run, its numbers come out, and a load of 100 g on a real robot is found.
+"""docs/learn/own_log.md as written: its commands run, its numbers come out, and a load of 100 g is found.
 
 Without the logs everything here is skipped and says so; `make data` brings them.
 """
@@ -20,7 +20,7 @@ from softmap_edge.cli import main
 from softmap_edge.diagnosis.document import VERDICTS
 
 ROOT = Path(__file__).parents[2]
-PAGE = (ROOT / "docs/own_log.md").read_text(encoding="utf-8")
+PAGE = (ROOT / "docs/learn/own_log.md").read_text(encoding="utf-8")
 BLOCKS = blocks(PAGE)
 
 
@@ -37,7 +37,7 @@ def page(folder, tmp_path_factory):
         patch.chdir(there)
         for language, text in BLOCKS:
             if language == "python":
-                exec(compile(text, "docs/own_log.md", "exec"), names)
+                exec(compile(text, "docs/learn/own_log.md", "exec"), names)
                 continue
             if language == "text":
                 printed = [line.strip() for line in said.getvalue().splitlines()]

@@ -293,8 +293,8 @@ def test_wrong_use_writes_nothing(argv, tmp_path, monkeypatch, capsys):
 
 
 def test_the_commands_of_the_page_run_and_print_what_it_shows(tmp_path, monkeypatch, capsys):
-    """docs/runs.md, with two recordings of 50 s."""
-    page = (Path(__file__).parents[2] / "docs/runs.md").read_text(encoding="utf-8")
+    """docs/do/runs.md, with two recordings of 50 s."""
+    page = (Path(__file__).parents[2] / "docs/do/runs.md").read_text(encoding="utf-8")
     monkeypatch.chdir(tmp_path)
     for day in (1, 2):
         t = np.arange(2500 + 500 * (day == 1)) * 0.02

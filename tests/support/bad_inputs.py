@@ -1,9 +1,9 @@
-"""The table of bad input in docs/safety.md: of each input the line that is said, and where the guard then stands."""
+"""The table of bad input in docs/reference/safety.md: the message of each input, and the state of the guard then."""
 
 import re
 from pathlib import Path
 
-PAGE = Path(__file__).parents[2] / "docs" / "safety.md"
+PAGE = Path(__file__).parents[2] / "docs/reference/safety.md"
 DIFFERS = {"PORT": r"/dev/\S+", "N": r"[\d.]+"}
 
 

@@ -77,7 +77,7 @@ def in_page(file: Path) -> Iterator[Finding]:
 def findings() -> list[Finding]:
     """Return all findings of the repository."""
     code = [file for folder in ("softmap_edge", "training/softmap_training") for file in (ROOT / folder).rglob("*.py")]
-    pages = [ROOT / "README.md", *(ROOT / "docs").rglob("*.md")]
+    pages = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").rglob("*.md")]
     found = [one for file in sorted(code) for one in in_code(file)]
     return found + [one for file in sorted(pages) for one in in_page(file)]
 

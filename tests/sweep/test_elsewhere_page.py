@@ -1,4 +1,4 @@
-"""docs/elsewhere.md as written: its Python block and its commands run in order, and what it quotes is printed."""
+"""docs/do/import_sweep.md as written: its Python block and its commands run in order, and what it quotes is printed."""
 
 import re
 from pathlib import Path
@@ -12,7 +12,7 @@ from softmap_edge import load_bundle
 from softmap_edge.cli import main
 from softmap_edge.sweep.sweep_file import _NUMBERS, _TEXTS
 
-PAGE = (Path(__file__).parents[2] / "docs/elsewhere.md").read_text(encoding="utf-8")
+PAGE = (Path(__file__).parents[2] / "docs/do/import_sweep.md").read_text(encoding="utf-8")
 BLOCKS = blocks(PAGE)
 
 
@@ -29,7 +29,7 @@ def page(tmp_path_factory):
         patch.setattr("builtins.print", lambda *a, **k: printed.setdefault(words, []).append(" ".join(map(str, a))))
         for language, text in BLOCKS:
             if language == "python":
-                exec(compile(text, "docs/elsewhere.md", "exec"), {})
+                exec(compile(text, "docs/do/import_sweep.md", "exec"), {})
             elif language == "":
                 for argv in lines(text):
                     words = " ".join(argv[1:])

@@ -70,7 +70,7 @@ def test_one_solved_sequence_is_replayed_on_both(model, monkeypatch):
 
 
 def test_effects_that_the_stand_in_has_are_undone(model):
-    """Its turned tendons and friction, as far as two effects of the library stand for them (docs/training.md, 5)."""
+    """Its turned tendons and friction, as far as two effects of the library stand for them (docs/do/training.md, 5)."""
     turn = virtual_finger(1).phase_deg
     params = {"routing.phase[0]": turn, "routing.phase[1]": turn}
     params |= {"hysteresis.strength": 0.11, "hysteresis.reach": 4.3, "hysteresis.shape": 0.7}

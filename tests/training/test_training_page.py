@@ -1,4 +1,4 @@
-"""docs/training.md as its reader runs it, on fewer commands and for fewer epochs."""
+"""docs/do/training.md as its reader runs it, on fewer commands and for fewer epochs."""
 
 from pathlib import Path
 
@@ -11,7 +11,7 @@ pytest.importorskip("torch")
 from softmap_edge import Run, load_bundle
 from softmap_edge.cli import main
 
-PAGE = (Path(__file__).parents[2] / "docs/training.md").read_text(encoding="utf-8")
+PAGE = (Path(__file__).parents[2] / "docs/do/training.md").read_text(encoding="utf-8")
 SHORTER = {
     "sweep": ["--steps", "15"],
     "train prior": ["--epochs", "600"],

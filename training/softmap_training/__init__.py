@@ -1,1 +1,1 @@
-"""The training side of SOFTMAP-Edge: whatever needs torch or more data than fits a robot."""
+"""The training side of SOFTMAP-Edge: everything that needs torch or more data than fits a robot."""

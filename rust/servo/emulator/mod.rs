@@ -2,7 +2,7 @@
 //!
 //! It speaks the packets of `packet.rs` with real timing: ten bits a byte at the servos' baud rate, return delay, answers
 //! of several servos one after the other. Time comes from outside, so that tests run as fast as they can and the
-//! pseudo-terminal (`pty.rs`) in real time. What it is for: every fault of docs/safety.md, without breaking a servo.
+//! pseudo-terminal (`pty.rs`) in real time. What it is for: every fault of docs/reference/safety.md, without breaking a servo.
 
 mod motor;
 mod pace;

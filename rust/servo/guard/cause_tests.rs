@@ -1,4 +1,4 @@
-//! The causes of docs/safety.md, period by period: each in every state, when it counts, and what is known then.
+//! The causes of docs/reference/safety.md, period by period: each in every state, when it counts, and what is known then.
 
 use super::robot::*;
 use super::*;

@@ -1,4 +1,4 @@
-//! An examiner of the guard, written from docs/safety.md and not from the guard: it sees what goes in and what comes out.
+//! An examiner of the guard, written from docs/reference/safety.md and not from the guard: it sees what goes in and what comes out.
 //!
 //! Times are counted in periods, which the guard never counts as fewer, so that what is judged here holds for any clock.
 
@@ -125,7 +125,7 @@ impl Checker {
         }
     }
 
-    /// Only along the edges of docs/safety.md, and under their conditions.
+    /// Only along the edges of docs/reference/safety.md, and under their conditions.
     fn edges(&self, from: State, input: &Input<'_>, said: &Said) -> Judged {
         use State::*;
         let (to, asked) = (said.output.state, input.request);

@@ -1,4 +1,4 @@
-//! The guard's state machine. What it promises stands in `mod.rs`; docs/safety.md has the table of faults.
+//! The guard's state machine. What it promises stands in `mod.rs`; docs/reference/safety.md has the table of faults.
 
 use super::limits::{Axis, FARTHEST, Limits};
 use super::path::{Bounds, Path};

@@ -1,11 +1,11 @@
-//! What stands between every target and the servos: a state machine that denies by default, and paths within limits.
+//! The guard between every target and the servos: a state machine that denies by default, and paths within limits.
 //!
 //!   OFF → CONNECTED → HOMED → READY → ENGAGED ⇄ HOLD → SAFE_STOP → READY, or FAULT
 //!
 //! Pure: one call a period with the time, what was heard of each servo and what is asked; out come state, torque and the
 //! goals to send. The same inputs give the same goals, bit for bit, so that a recording can be replayed.
 //! An *unsafe tick* is a goal outside the window, or beyond slew or acceleration limits, in this order of priority.
-//! Reactions to every fault: docs/safety.md. Time-outs run by the clock and by counted periods, whichever is sooner: a
+//! Reactions to every fault: docs/reference/safety.md. Time-outs run by the clock and by counted periods, whichever is sooner: a
 //! clock that stands still or jumps back stretches none.
 
 #[cfg(test)]

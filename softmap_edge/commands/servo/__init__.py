@@ -1,1 +1,1 @@
-"""Commands of `softmap servo`: one module for each but the shortest."""
+"""The commands of `softmap servo`: one module for each, but the shortest."""

@@ -61,7 +61,7 @@ def emulate_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--calibrated", metavar="DIR", help="write its bundle, with the true map of the servos")
     parser.add_argument(
         "--stream", action="append", default=[], metavar="udp://HOST:PORT",
-        help="send what its camera sees there (docs/camera.md); may be given again",
+        help="send what its camera sees there (docs/do/camera.md); may be given again",
     )  # fmt: skip
     parser.add_argument("--key", metavar="FILE", help="sign what is sent with this shared key")
 

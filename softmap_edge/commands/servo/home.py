@@ -27,7 +27,7 @@ def home(args: argparse.Namespace) -> int:
     confirmed = "by --yes"
     if not args.yes:
         if not confirm("Torque is off. Let the finger hang straight and still. Is it straight?", "--yes"):
-            raise ServoError("home is not proved: it was not confirmed that the finger is straight")
+            raise ServoError("the robot is not homed: it was not confirmed that the finger is straight")
         confirmed = "by the user at the terminal"
     homed = prove(rig, confirmed, new=args.new)
     homed.rig.note(args.rig)

@@ -1,1 +1,1 @@
-"""A bench made ready: servos set up, home proved, small moves, the pull test, a first calibration."""
+"""Commission a rig: set up servos, home the robot, jog, run the pull test, calibrate without a camera."""

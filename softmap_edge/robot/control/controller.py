@@ -6,10 +6,10 @@
             done = robot.target(u)   # mm in, what will be done out; call it at least every `stale` seconds
             time.sleep(0.02)
 
-Python sends commands, never ticks; the loop guards them (docs/safety.md) and never waits for Python. A program that
-stops calling `target` is held, then slackened; one that ends or is killed likewise. Should the loop's own process die
-or freeze, the servos stop by their watchdogs and a thread of this side switches their torque off, whatever the program
-does meanwhile. A servo that has not said that it has no torque at the end is an error.
+Python sends commands, never ticks; the loop guards them (docs/reference/safety.md) and never waits for Python. A
+program that stops calling `target` is held, then slackened; one that ends or is killed likewise. Should the loop's
+own process die or freeze, the servos stop by their watchdogs and a thread of this side switches their torque off,
+whatever the program does meanwhile. A servo that has not said that it has no torque at the end is an error.
 Pinned by tests/robot/test_controller.py and tests/robot/test_leaving.py.
 """
 
@@ -354,7 +354,7 @@ class Controller(Supervisor):
                 "heartbeat` on its computer, or mend [emergency] of rig.toml"
             )
 
-    def _wait(self, what: Callable[[], Any], seconds: float, said: str) -> None:
+    def _wait(self, what: Callable[[], object], seconds: float, said: str) -> None:
         self.rig.time.wait_for(self._heard, lambda: what() or "error" in self._last or "gone" in self._last, seconds)
         with self._heard:
             last, came = self._last, what()

@@ -5,8 +5,8 @@
             heart.beat(pressed=button())
             time.sleep(0.02)
 
-Whoever stops beating has pressed it: the control loop switches torque off (docs/safety.md). Datagrams and sessions are
-those of `rust/control/heartbeat.rs`, which listens. Pinned by tests/robot/test_emergency.py.
+Whoever stops beating has pressed it: the control loop switches torque off (docs/reference/safety.md). Datagrams and
+sessions are those of `rust/control/heartbeat.rs`, which listens. Pinned by tests/robot/test_emergency.py.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Is this computer fit to drive a robot: everything is looked at, nothing moves, each fault comes with its remedy.
+"""Check what a computer or a rig lacks to drive a robot: nothing moves, each fault comes with its remedy.
 
     from softmap_edge.robot.doctor import examine
     print(examine())

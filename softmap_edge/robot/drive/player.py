@@ -185,7 +185,7 @@ class Player:
             if self._robot.time.now() > end:
                 raise SoftmapError(
                     f"no frame came within {LOST:g} s; start the camera's program and check address and key "
-                    "(docs/camera.md)"
+                    "(docs/do/camera.md)"
                 )
             self._robot.time.sleep(0.05)
         self._gather(self._robot.time.now())

@@ -1,4 +1,4 @@
-"""Points that a camera program sees, sent to the robot's host over UDP (docs/camera.md).
+"""Points that a camera program sees, sent to the robot's host over UDP (docs/do/camera.md).
 
     with PointSender("192.168.1.20", 9870, read_key("camera.key")) as out:
         out.send(points, stamp)          # (N, 3) mm in the base frame, NaN or `visible` for what is not seen; s
@@ -117,7 +117,7 @@ class PointReceiver(Listener):
     """
 
     def __init__(
-        self, host: str, port: int, key: bytes | None = None, *, count: int | None = None, frame: Any = None
+        self, host: str, port: int, key: bytes | None = None, *, count: int | None = None, frame: object = None
     ) -> None:
         if key is None and host not in ("", *THIS_COMPUTER):
             raise LinkError(

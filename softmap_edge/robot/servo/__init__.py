@@ -1,1 +1,1 @@
-"""The servos of a rig: their bus, registers, limits, and what keeps them from a start."""
+"""The servos of a rig: their bus, registers and limits, and the checks before a start."""

@@ -21,7 +21,7 @@ from softmap_edge.robot.servo.known_state import setup_command
 
 MARK, MAPPABLE, DIGITS = 168, 120, 8  # first register; lowest address that it may hold; registers of four bits
 SIZE = 2 * DIGITS  # bytes
-AGAIN = "prove it with `softmap servo home --rig FILE`"
+AGAIN = "home the robot with `softmap servo home --rig FILE`"
 
 
 def mark(id: int, home: int) -> bytes:
@@ -77,8 +77,8 @@ def check_proved(bus: _core.ServoBus, servos: Sequence[tuple[int, int | None]]) 
             )
         if not marked(bus, id, home):
             raise ServoError(
-                f"servo {id}: home is not proved since power-up (turns are lost without power; a fault, setting up and "
-                f"another home in the rig need a new proof too); let the finger hang straight and {AGAIN}"
+                f"servo {id}: not homed since power-up (turns are lost without power; a fault, setting up and "
+                f"another home in the rig need homing again too); let the finger hang straight and {AGAIN}"
             )
 
 

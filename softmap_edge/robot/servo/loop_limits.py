@@ -1,6 +1,6 @@
 """What the servos of a robot are allowed: one table, in ticks and seconds, that the compiled guard checks and keeps to.
 
-docs/safety.md says what each limit does. Ticks are absolute; the window lies about `home`. Pinned by
+docs/reference/safety.md says what each limit does. Ticks are absolute; the window lies about `home`. Pinned by
 tests/robot/test_controller.py and, for what the guard makes of it, by the tests of rust/servo/guard.
 """
 

@@ -45,7 +45,7 @@ def edited(old: str, new: str, kept: Sequence[str]) -> str:
         return new
 
 
-def _merged(old: Mapping[str, Any], new: Mapping[str, Any], kept: Sequence[str]) -> dict[str, Any]:
+def _merged(old: Mapping[str, object], new: Mapping[str, object], kept: Sequence[str]) -> dict[str, Any]:
     """Return a servo's table: the findings, and the keys that its user added."""
     return dict(new) | {key: value for key, value in old.items() if key not in new and key not in kept}
 
@@ -66,7 +66,7 @@ def _change(document: tomlkit.TOMLDocument, target: Mapping[str, Any]) -> None:
             made[name] = _new(values, inline=isinstance(made, InlineTable))
 
 
-def _new(values: Mapping[str, Any], inline: bool) -> Table | InlineTable:
+def _new(values: Mapping[str, object], inline: bool) -> Table | InlineTable:
     """Return a table of its own, with a blank line behind it, or one in a line."""
     if inline:
         table: Table | InlineTable = tomlkit.inline_table()

@@ -1,1 +1,1 @@
-"""From a camera to commands: pictures, the landmarks of a hand, its own frame, and what of it drives the finger."""
+"""Drive by hand: pictures, landmarks of a hand, keys, the enable key, and the page in a browser."""

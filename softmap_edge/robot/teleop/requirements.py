@@ -21,7 +21,7 @@ from softmap_edge.robot.teleop.model_file import check_model, default_path
 
 INSTALL = "uv pip install --override <(echo \"opencv-contrib-python; sys_platform == 'never'\") 'softmap-edge[teleop]'"
 LIBRARIES = ("libEGL.so.1", "libGLESv2.so.2")  # mediapipe's library is linked with them, and so never loads without
-UDP = "send landmarks from another computer instead (docs/teleop.md, --camera udp://)"
+UDP = "send landmarks from another computer instead (docs/do/teleop.md, --camera udp://)"
 LAST_SILENT = (0, 10, 21)  # the last mediapipe without telemetry: its issue 6291 on GitHub, and 0.10.18 measured
 CPU = Path("/proc/cpuinfo")
 
@@ -61,7 +61,7 @@ def mediapipe(installed: Iterable[Distribution]) -> Line:
         return Line("mediapipe", WARNING, "not installed", f"run {INSTALL}, or {UDP}")
     if _numbers(found.version) <= LAST_SILENT:
         return Line("mediapipe", OK, found.version)
-    said = f"{found.version}, which reports its use to its maker when there is a network (docs/teleop.md)"
+    said = f"{found.version}, which reports its use to its maker when there is a network (docs/do/teleop.md)"
     return Line("mediapipe", OK, said)
 
 
