@@ -122,9 +122,12 @@ def test_the_verb_tracks_on_an_emulated_robot_and_draws(tmp_path, capsys):
     assert (tmp_path / "o.svg").stat().st_size < 500_000
 
 
+BLOCK = "next --standard --out next.csv"
+
+
 @pytest.mark.parametrize(
     ("duration", "said"),
-    [("2", ["frames are too few for a diagnosis, which needs 60 or more", "next: softmap next --standard --out next.csv"]),
+    [("2", ["frames are too few for a diagnosis, which needs 60 or more", f"next: softmap {BLOCK}"]),
      ("5", ["o.seen: written", "next: softmap diagnose o.mcap"])],
 )  # fmt: skip
 def test_the_last_line_is_a_command_that_can_succeed(duration, said, tmp_path, monkeypatch, capsys):
