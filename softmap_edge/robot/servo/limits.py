@@ -189,7 +189,7 @@ def calibration_of(model: Model) -> Calibration:
     if model.calibration is None:
         raise ServoError(
             "the bundle holds no calibration of the servos; make one with `softmap servo calibrate`, or from a run by "
-            "`softmap calibrate`"
+            "`softmap model calibrate`"
         )
     return model.calibration
 

@@ -56,7 +56,7 @@ DENIED = {
     "from": "not allowed in state {}",
     "trouble": "something is wrong: {}",
     "torque": "a servo has torque; `softmap servo off` releases it",
-    "outside": "a servo stands outside its window; turn it back with `softmap move`, or home the robot again",
+    "outside": "a servo stands outside its window; turn it back with `softmap servo move`, or home the robot again",
     "undriven": "no fresh target, or the deadman is not pressed",
 }
 STATES = {
