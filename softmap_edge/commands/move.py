@@ -199,7 +199,7 @@ def _go(args: argparse.Namespace) -> int:
 def _reported(args: argparse.Namespace, short: str, stood: str) -> int:
     """Report a move that ended off its goal, and servos that did not turn; return the exit code."""
     for said in filter(None, (short, stood)):
-        to_stderr(f"softmap move: {with_files(said, args)}")
+        to_stderr(f"softmap servo move: {with_files(said, args)}")
     return CAME_SHORT if short or stood else 0
 
 
@@ -261,7 +261,8 @@ def _far(rig: Rig, target: Any, position: Any, away: Any, most: Any) -> str:
 
 def _off(robot: Controller, command: Any, what: str) -> float:
     """Return how far (ticks) the `goal` or `position` of the newest report is from a command; ∞ where it says none."""
-    ticks = robot.report.get(what) or [None]
+    report = robot.report
+    ticks = (report.get("goal") if what == "goal" else report.get("position")) or [None]
     return np.inf if None in ticks else float(np.abs(np.array(ticks) - robot.calibration.ticks(command)).max())
 
 

@@ -11,12 +11,12 @@ fields.npz      displacement fields per unit of loads and changes of design, as 
 effects.json    the chain: names and parameters
 prior.onnx      a trained prior; `prior.npz` then holds how its tendons pull. A graph that only onnxruntime reads is run
                 only if the user allows it, and becomes a table of its outputs (`network.elsewhere`)
-residual.npz    the residual learned on top of the prior (`softmap adapt`), if any: as a scattered family, or as
+residual.npz    the residual learned on top of the prior (`softmap model adapt`), if any: as a scattered family, or as
 residual.onnx   a network
 NAME_step       next to an array of whole numbers NAME in an archive: NAME counts these steps
 NAME.py         a user's own effect of the chain, named with its hash in the manifest: code, run only if the user
                 has loaded the same file before (`load_effect`) or confirms it
-calibration.json   the map from servo ticks to commands (`softmap calibrate`), if it is known
+calibration.json   the map from servo ticks to commands (`softmap model calibrate`), if it is known
 safety.toml     limits of the finger (`safety.py`); may be edited: another hash than the manifest's is reported, and
                 every limit is checked whatever its hash
 """

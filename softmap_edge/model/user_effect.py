@@ -107,7 +107,9 @@ def load_effect(path: str | Path, sha256: str | None = None) -> OwnEffect:
     declaration = _declaration(file.name, getattr(module, "EFFECT", None))
     rollout = getattr(module, "rollout", None)
     if not callable(rollout):
-        raise EffectError(f"{file.name}: it has no function `rollout`; `softmap effects new NAME` writes the form")
+        raise EffectError(
+            f"{file.name}: it has no function `rollout`; `softmap model effects new NAME` writes the form"
+        )
     name = declaration["name"]
     if name in _LOADED:
         raise EffectError(
@@ -195,7 +197,7 @@ def rollout(params, u, t, ctx):
 
 def _read(file: Path) -> bytes:
     if file.suffix != ".py" or not file.is_file():
-        raise EffectError(f"{file}: no Python file; `softmap effects new NAME` writes one")
+        raise EffectError(f"{file}: no Python file; `softmap model effects new NAME` writes one")
     if file.stat().st_size > MAX_BYTES:
         raise EffectError(f"{file}: {file.stat().st_size} bytes, an effect has at most {MAX_BYTES}")
     return file.read_bytes()
@@ -220,7 +222,7 @@ def _execute(file: Path, source: bytes) -> ModuleType:
 def _declaration(where: str, given: object) -> dict[str, Any]:
     """Return the declaration that a file gives, whole and of the right kinds."""
     if not isinstance(given, dict):
-        raise EffectError(f"{where}: EFFECT is missing or no table; `softmap effects new NAME` writes the form")
+        raise EffectError(f"{where}: EFFECT is missing or no table; `softmap model effects new NAME` writes the form")
     known = ("name", *_TEXTS, "parameters", *_OPTIONAL)
     _keys(where, "EFFECT", given, ("name", *_TEXTS, "parameters"), known)
     found: dict[str, Any] = _OPTIONAL | given

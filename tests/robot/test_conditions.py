@@ -106,7 +106,7 @@ def test_a_place_outside_the_window_is_a_fault_and_its_command_leads_back(tmp_pa
     with bench(load=[]) as (bus, rig, _):
         rig.write(file)
         for _ in range(4):
-            assert main(["move", "--servo", "1", "--by", "280", "--rig", file, "--hold"]) == 0
+            assert main(["servo", "move", "--servo", "1", "--by", "280", "--rig", file, "--hold"]) == 0
         capsys.readouterr()
         assert main(drive) == 2
         denied = capsys.readouterr().err

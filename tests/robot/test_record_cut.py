@@ -242,7 +242,7 @@ def test_a_full_disk_under_a_drive_is_told(folder):
     done = subprocess.run(argv, capture_output=True, text=True, timeout=200, preexec_fn=little)
     assert done.returncode == 2 and re.search(FULL.format("t.mcap"), done.stderr), done.stderr
     assert (folder / "t.mcap").exists() and (folder / "t.mcap").stat().st_size <= MOST
-    assert main(["replay", "t.mcap"]) == 1
+    assert main(["servo", "replay", "t.mcap"]) == 1
 
 
 def test_an_error_in_making_the_run_keeps_both_files(folder, monkeypatch, capsys):

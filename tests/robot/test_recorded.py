@@ -92,13 +92,13 @@ def test_verbs_take_it_as_any_run(tracked, tmp_path, capsys):
         ["replay", file, "--run", f"{out}.npz"],
     ):
         if "--bundle" in words:
-            assert main(["calibrate", file, "--out", out]) in (0, 1)
+            assert main(["model", "calibrate", file, "--out", out]) in (0, 1)
         assert main(words) == 0, words
     assert Run.load(f"{out}.npz").hash() == open_run(tracked).hash()
-    assert main(["align", file, "--bundle", out, "--out", f"{out}.a.npz"]) in (0, 1), capsys.readouterr().err
+    assert main(["run", "align", file, "--bundle", out, "--out", f"{out}.a.npz"]) in (0, 1), capsys.readouterr().err
     upper = tmp_path / "O.MCAP"
     shutil.copy(tracked, upper)
-    assert main(["predict", str(upper), "--out", f"{out}.q.npz"]) == 0, "by any letters, with nothing seen"
+    assert main(["model", "predict", str(upper), "--out", f"{out}.q.npz"]) == 0, "by any letters, with nothing seen"
 
 
 @pytest.mark.parametrize("damage", ["cut", "zeros", "broken"])

@@ -302,5 +302,5 @@ def replay(args: argparse.Namespace) -> int:
     if lacks:
         warnings.warn(RecordingWarning(lacks), stacklevel=2)
     if said := words.bus(recording.bus):
-        to_stderr(f"softmap replay: {said}")
+        to_stderr(f"softmap servo replay: {said}")
     return OTHERWISE if differ or recording.short else 0
