@@ -189,7 +189,7 @@ def excluded(
     return found
 
 
-def _place(made_from: Mapping[str, Any]) -> Floats | None:
+def _place(made_from: Mapping[str, object]) -> Floats | None:
     """Return the places (B, 3) mm of base markers that a manifest keeps; None if it holds no such table."""
     kept = made_from.get(PLACES)
     if not isinstance(kept, list) or not LEAST_MARKERS <= len(kept) <= MOST_MARKERS:

@@ -8,7 +8,7 @@ usual grid never mixed).
 from __future__ import annotations
 
 from dataclasses import asdict
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -27,12 +27,15 @@ from softmap_edge.run.contents import command_ranges, rounded
 from softmap_edge.run.rollover import roll_overs_of
 from softmap_edge.run.run import BASE_MARKERS, DAMAGE, NO_COMMANDS, OURS, Run, known, text_in
 
+if TYPE_CHECKING:
+    from softmap_edge.model.model import Model
+
 SCHEMA = "softmap.check/1"
 FAR = 2.0  # of the extent of what is seen: farther from the origin is no base frame
 SAME_PLACE = 0.02  # of a channel's range
 
 
-def summary(recorded: Run, model: Any = None) -> dict[str, Any]:
+def summary(recorded: Run, model: Model | None = None) -> dict[str, Any]:
     """Return the contents of a run, with units in the keys; `missing` and `warnings` are sentences.
 
     `collinear` are the conditions that cannot be separated from time or the commands (`collinear.Collinear`, `text`).

@@ -20,7 +20,6 @@ VERBS: list[Command] = [
     Command("build", "make a model", "finger.toml → bundle", "softmap_edge.commands.make"),
     Command("learn", "make a model", "reference run → rod bundle", "softmap_edge.commands.make"),
     Command("adapt", "make a model", "calibrate, add physics, learn the rest", "softmap_edge.commands.adapt"),
-    Command("export", "make a model", "finger.toml → scene of another simulator", "softmap_edge.commands.make"),
     Command("sweep", "make a model", "simulate a grid of commands", "softmap_edge.commands.make"),
     Command("import", "set up", "logs + mapping file → run; --guess proposes one", "softmap_edge.commands.runs"),
     Command("align", "set up", "camera or mocap frame → base frame", "softmap_edge.commands.align"),

@@ -7,9 +7,9 @@ import json
 
 from softmap_edge.calibration.calibration import calibrate as find
 from softmap_edge.calibration.found import Calibrated
-from softmap_edge.commands.output import bundle_arguments, check_bundle, check_file
+from softmap_edge.commands.output import bundle_arguments, check_bundle, check_picture
 from softmap_edge.commands.own import effects_argument, load_own, open_model
-from softmap_edge.errors import CalibrationError, ReportError
+from softmap_edge.errors import CalibrationError
 from softmap_edge.files.atomic import write_atomically
 from softmap_edge.model.bundle import save_bundle
 from softmap_edge.robot.drive.recorded import open_run
@@ -38,7 +38,7 @@ def calibrate_arguments(parser: argparse.ArgumentParser) -> None:
 
 def calibrate(args: argparse.Namespace) -> int:
     """Fit u = A (ticks − home) + b and write the bundle with it; 1 if the relation is clearly not affine."""
-    check_file("--plot", args.plot, ".svg")
+    check_picture("--plot", args.plot)
     check_bundle(args.out, args.force)
     if args.window is not None and not args.window[0] < 0.0 < args.window[1]:
         raise CalibrationError(
@@ -58,12 +58,6 @@ def calibrate(args: argparse.Namespace) -> int:
 
 
 def _plot(found: Calibrated, path: str) -> None:
-    try:
-        from softmap_edge.report.calibration_figure import calibration_figure
-    except ModuleNotFoundError as missing:
-        if (missing.name or "").split(".")[0] != "matplotlib":
-            raise
-        raise ReportError(
-            "--plot needs matplotlib: pip install 'softmap-edge[report]' (the text and --json work without it)"
-        ) from None
+    from softmap_edge.report.calibration_figure import calibration_figure
+
     write_atomically(path, calibration_figure(found))

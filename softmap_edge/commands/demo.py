@@ -18,11 +18,12 @@ from softmap_edge.comparison.comparison import Comparison, compare
 from softmap_edge.comparison.series import series
 from softmap_edge.diagnosis.diagnose import diagnose
 from softmap_edge.diagnosis.document import Diagnosis
-from softmap_edge.errors import ReportError, SoftmapError
+from softmap_edge.errors import SoftmapError
 from softmap_edge.files.numbers import fall
 from softmap_edge.model.bundle import builtin_model, save_bundle
 from softmap_edge.model.model import Model
 from softmap_edge.report.html import write_html
+from softmap_edge.report.pages import pictures_missing
 from softmap_edge.robot.emulated.named_laws import check_hidden
 from softmap_edge.run.protocol import Protocol, other_protocol, standard_protocol
 from softmap_edge.run.run import Run
@@ -173,17 +174,13 @@ def _write(story: Trial, folder: Path) -> dict[str, str]:
     story.other.save(files["held_out_run"])
     files["diagnosis"].write_text(json.dumps(story.diagnosis.to_dict(), indent=1) + "\n")
     save_bundle(story.diagnosis.model, files["bundle"])
-    try:
-        write_html(
-            folder / "report.html",
-            [story.before, story.after],
-            story.diagnosis.to_dict(),
-            series(story.other, story.model, story.diagnosis.model),
-            (story.floor_mm, FLOOR_KIND),
-        )
-        files["report"] = folder / "report.html"
-    except ReportError:  # without matplotlib text and JSON go on; the last lines say what to install
-        pass
+    files["report"] = write_html(
+        folder / "report.html",
+        [story.before, story.after],
+        story.diagnosis.to_dict(),
+        series(story.other, story.model, story.diagnosis.model),
+        (story.floor_mm, FLOOR_KIND),
+    )
     return {name: str(path) for name, path in files.items()}
 
 
@@ -210,8 +207,8 @@ def _reveal(story: Trial, files: dict[str, str], seconds: float) -> Sequence[str
     for secret in story.truth.hidden:
         numbers = ", ".join(f"{key} {_plain(value)}" for key, value in secret.law.params().items() if key != "seed")
         lines.append(f"Hidden: {secret.name} ({numbers}); it moves the finger by {secret.displacement_mm:.1f} mm RMS")
-    report = files.get("report")
-    lines.append(f"Open {report}" if report else "A report with pictures needs: pip install 'softmap-edge[report]'")
+    install = pictures_missing()
+    lines.append(f"Open {files['report']}" + (f" (for pictures in it: {install}, then again)" if install else ""))
     lines.append(f"({seconds:.0f} s)")
     return lines
 

@@ -226,30 +226,6 @@ def _stored(args: argparse.Namespace) -> int:
     return 0
 
 
-def export_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments of `export`."""
-    parser.add_argument("finger", nargs="?", help="finger.toml; without it the built-in finger")
-    parser.add_argument(
-        "--sofa", required=True, metavar="FILE.py", help="SofaPython3 scene to write (it is not run here)"
-    )
-
-
-def export(args: argparse.Namespace) -> int:
-    """Write the scene of a finger for another simulator."""
-    from softmap_edge.fem.doubts import doubts
-    from softmap_edge.fem.sofa import write_sofa_scene
-
-    check_file("--sofa", args.sofa, ".py")
-    finger = _finger(args.finger)
-    write_sofa_scene(finger, args.sofa)
-    notes = doubts(finger)
-    document = {"schema": "softmap.export/1", "scene": str(args.sofa), "finger": finger.name, "run_here": False}
-    text = f"{args.sofa}: SofaPython3 scene of {finger.name}; its syntax is checked, it was not run here"
-    text = "\n".join([text, *(f"  look at: {note}" for note in notes)])
-    print(json.dumps(document | {"notes": notes}) if args.json else text)
-    return 0
-
-
 def _finger(path: str | None) -> Finger:
     return Finger.builtin() if path is None else Finger.load(Path(path))
 

@@ -29,6 +29,17 @@ def check_file(option: str, path: str | None, suffix: str = "", *, new: bool = F
         raise SoftmapError(f"{option} {path}: it exists; give another name")
 
 
+def check_picture(option: str, path: str | None) -> None:
+    """Raise SoftmapError when the picture that `option` names cannot be drawn or written."""
+    if path is None:
+        return
+    from softmap_edge.report.pages import pictures_missing
+
+    check_file(option, path, ".svg")
+    if install := pictures_missing():
+        raise SoftmapError(f"{option} {path}: pictures need matplotlib; {install}, or leave {option} out")
+
+
 def check_no_run(option: str, path: str | None, force: bool | None = None) -> None:
     """Raise SoftmapError when a run stands where `option` would write something else, or another recording.
 

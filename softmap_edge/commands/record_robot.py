@@ -269,7 +269,7 @@ def _ahead(args: argparse.Namespace, paced: Pace) -> str:
     )
 
 
-def _said(args: argparse.Namespace, run: Any, told: dict[str, Any]) -> str:
+def _said(args: argparse.Namespace, run: object, told: dict[str, Any]) -> str:
     lines = [
         f"{run}",
         f"{told['frames']} of {told['wanted']} frames in {told['minutes']:.1f} minutes, {told['settling_s']:g} s to "

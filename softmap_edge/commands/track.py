@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-from softmap_edge.commands.output import check_file
+from softmap_edge.commands.output import check_picture
 from softmap_edge.commands.own import load_own, open_model
 from softmap_edge.commands.progress import Bar
 from softmap_edge.commands.robot import (
@@ -41,7 +41,7 @@ from softmap_edge.robot.servo.loop_limits import servo_limits
 
 def track_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `track`."""
-    parser.add_argument("figure", nargs="?", help=f"{', '.join(FIGURES)}, or a polyline: FILE.csv (x,y) or FILE.svg")
+    parser.add_argument("figure", nargs="?", help=f"{', '.join(FIGURES)}, or a polyline: FILE.csv (x,y)")
     where = parser.add_mutually_exclusive_group(required=True)
     where.add_argument("--sim", action="store_true", help="on an emulated robot: real packets, simulated finger")
     where.add_argument("--rig", metavar="FILE.toml", help="on the servos of this rig")
@@ -66,7 +66,7 @@ def track_arguments(parser: argparse.ArgumentParser) -> None:
 def track(args: argparse.Namespace) -> int:
     """Lead the tip along a figure, judge it, draw it."""
     check_driven(args)
-    check_file("--picture", args.picture, ".svg")
+    check_picture("--picture", args.picture)
     if args.camera and not args.rig:
         raise SoftmapError("--camera watches a robot; give --rig with it (an emulated finger has a camera of its own)")
     if args.observe and not (args.sim or args.camera):
@@ -159,10 +159,8 @@ def _kept(args: argparse.Namespace, seen: Seen | None, behind: float, bench: Ben
 
 
 def _draw(path: str, kinematics: Kinematics, planned: Course, tracked: Tracked | None) -> None:
-    try:
-        from softmap_edge.report.track_figure import track_figure
-    except ImportError:
-        raise SoftmapError("--picture needs matplotlib: pip install 'softmap-edge[report]'") from None
+    from softmap_edge.report.track_figure import track_figure
+
     write_atomically(path, track_figure(kinematics, planned, tracked))
 
 

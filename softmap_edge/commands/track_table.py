@@ -73,10 +73,8 @@ def workspace(args: argparse.Namespace, kinematics: Kinematics) -> int:
             f"acting_{unit}": solved.acting[0].tolist(),
         }
     if args.picture:
-        try:
-            from softmap_edge.report.track_figure import workspace_figure
-        except ImportError:
-            raise SoftmapError("--picture needs matplotlib: pip install 'softmap-edge[report]'") from None
+        from softmap_edge.report.track_figure import workspace_figure
+
         write_atomically(
             args.picture, workspace_figure(kinematics, rest, target, None if solved is None else solved.tip[0])
         )

@@ -78,7 +78,7 @@ class Diagnosis:
         return {"schema": SCHEMA} | {f.name: plain(getattr(self, f.name)) for f in fields(self) if f.name != "model"}
 
     @classmethod
-    def from_dict(cls, document: Mapping[str, Any]) -> Diagnosis:
+    def from_dict(cls, document: Mapping[str, object]) -> Diagnosis:
         """Return the diagnosis of a document.
 
         Raises:

@@ -246,7 +246,7 @@ class ServoFinding:
     error: ServoError
 
 
-def plain(value: Any) -> Any:
+def plain(value: object) -> Any:
     """Return records as dictionaries and lists, ready for JSON; omit absent entries (None by default)."""
     if is_dataclass(value) and not isinstance(value, type):
         return {
@@ -261,7 +261,7 @@ def plain(value: Any) -> Any:
     return value
 
 
-def read(kind: type[T], document: Any, where: str) -> T:
+def read(kind: type[T], document: object, where: str) -> T:
     """Return the record that a part of a document holds; ignore unknown keys.
 
     Raises:
@@ -280,7 +280,7 @@ def read(kind: type[T], document: Any, where: str) -> T:
     return kind(**values)
 
 
-def _value(hint: Any, value: Any, where: str) -> Any:
+def _value(hint: object, value: object, where: str) -> Any:
     """Return a value of a document as its annotated type."""
     origin, inner = get_origin(hint), get_args(hint)
     if origin in (Union, types.UnionType):

@@ -278,7 +278,7 @@ class Record:
 
     # --- measures -------------------------------------------------------------------------------
 
-    def rms_mm(self, difference: Floats, frames: NDArray[Any] | None = None) -> float:
+    def rms_mm(self, difference: Floats, frames: NDArray[np.generic] | None = None) -> float:
         """Return the RMS distance in mm over the places of feature differences (K, F)."""
         squares = self.squares(difference)
         return float(np.sqrt(np.nanmean(squares if frames is None else squares[frames])))

@@ -17,7 +17,7 @@ from softmap_edge.files.numbers import LARGEST, bar, folded, mm, number, percent
 from softmap_edge.run.in_unit import PLACES, in_unit, output_of, unit_of
 
 
-def diagnosis_text(document: Mapping[str, Any]) -> str:
+def diagnosis_text(document: Mapping[str, object]) -> str:
     """Return the report of a diagnosis document.
 
     Args:
@@ -113,7 +113,7 @@ def again(row: Mapping[str, Any]) -> list[str]:
     )
 
 
-def confirmed(row: Mapping[str, Any]) -> list[str]:
+def confirmed(row: Mapping[str, object]) -> list[str]:
     """Return a sentence on what the withheld blocks of the run say of an effect, if that is known."""
     return [str(read(Certificate, row["certificate"], "certificate"))] if row.get("certificate") else []
 
@@ -147,7 +147,7 @@ def servo_row(row: Mapping[str, Any]) -> tuple[str, str]:
     return f"channel {row.get('channel', '?')}", f"{what} (held-out RMS)"
 
 
-def _ladder_lines(error: Mapping[str, Any]) -> list[str]:
+def _ladder_lines(error: Mapping[str, object]) -> list[str]:
     steps = ladder_steps(error)
     if not steps:
         return []
@@ -166,7 +166,7 @@ def _ladder_lines(error: Mapping[str, Any]) -> list[str]:
     return [*lines, *([f"  {' · '.join(told)}"] if told else [])]
 
 
-def _noise_lines(made_from: Mapping[str, Any], unit: str) -> list[str]:
+def _noise_lines(made_from: Mapping[str, object], unit: str) -> list[str]:
     """Return the noise of a point of each run, the number that `check` and `compare` report."""
     output, values = output_of(made_from), made_from.get("noise_of_points_mm")
     given = [value for value in values if number(value) is not None] if isinstance(values, list) else []
@@ -191,7 +191,7 @@ def alternative_name(row: Mapping[str, Any]) -> str:
     return " + ".join(map(str, row.get("effects") or [])) or str(row.get("family") or "?")
 
 
-def _alternative(row: Mapping[str, Any]) -> str:
+def _alternative(row: Mapping[str, object]) -> str:
     return f"{alternative_name(row)}: {tamed(row.get('why', ''))}"
 
 
@@ -210,7 +210,7 @@ def _untestable(row: tuple[str, str, str]) -> str:
     return f"{names}: {why}".rstrip(". ") + "." + remedy.replace("..", ".")
 
 
-def _next(row: Mapping[str, Any]) -> str:
+def _next(row: Mapping[str, object]) -> str:
     minutes, separation = row.get("minutes"), row.get("separation")
     took = f" ({minutes:g} min)" if isinstance(minutes, (int, float)) and minutes else ""  # no recording takes none
     apart = f", expected separation {separation:.3g} (chi², simulated)" if isinstance(separation, (int, float)) else ""
@@ -219,7 +219,7 @@ def _next(row: Mapping[str, Any]) -> str:
     return f"{row.get('block', '?')}{took}{': settles ' + named if named else ''}{apart}"
 
 
-def _unexplained_lines(left: Mapping[str, Any], unit: str) -> list[str]:
+def _unexplained_lines(left: Mapping[str, object], unit: str) -> list[str]:
     if not left:
         return []
     chi, r2 = left.get("chi2_per_n"), left.get("blocked_r2")

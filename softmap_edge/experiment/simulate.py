@@ -325,7 +325,7 @@ def _check(model: Model, diagnosis: Diagnosis, runs: Sequence[Run], known: Regis
         raise SoftmapError(f"the diagnosis names '{unknown[0]}', which this library lacks; diagnose again")
 
 
-def _check_references(told: Any, runs: bool, given: list[str]) -> None:
+def _check_references(told: object, runs: bool, given: list[str]) -> None:
     """Refuse other references than those that a diagnosis is relative to; those of its held-out run may come along."""
     if told is None and given:
         raise SoftmapError("the diagnosis is not relative to a reference run; leave --reference out")

@@ -244,7 +244,7 @@ def _from_document(document: Mapping[str, Any], folder: Path) -> Finger:
 
 
 def _table(
-    document: Mapping[str, Any], name: str, keys: tuple[str, ...], optional: tuple[str, ...] = ()
+    document: Mapping[str, object], name: str, keys: tuple[str, ...], optional: tuple[str, ...] = ()
 ) -> Mapping[str, Any]:
     table = document.get(name)
     if not isinstance(table, dict):
@@ -253,7 +253,7 @@ def _table(
     return table
 
 
-def _tables(document: Mapping[str, Any], name: str) -> list[Mapping[str, Any]]:
+def _tables(document: Mapping[str, object], name: str) -> list[Mapping[str, Any]]:
     tables = document.get(name, [])
     if not isinstance(tables, list) or not all(isinstance(table, dict) for table in tables):
         raise FingerError(f"{name}: expected tables [[{name}]]; compare with the built-in finger's file")

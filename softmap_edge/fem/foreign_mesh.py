@@ -120,7 +120,7 @@ def _groups(mesh: Any, kind: str, count: int) -> dict[str, NDArray[np.bool_]]:
     return dict(list(some.items())[:_MOST_NAMES])
 
 
-def _label(data: Sequence[Any], blocks: list[int], count: int) -> NDArray[np.int64] | None:
+def _label(data: Sequence[object], blocks: list[int], count: int) -> NDArray[np.int64] | None:
     """Return the labels (E,) of the cells if an array holds integers with few distinct values, one per cell."""
     parts = [np.asarray(data[k]) for k in blocks]
     values = np.concatenate([part.reshape(len(part), -1) for part in parts]) if parts else np.zeros((0, 1))

@@ -13,7 +13,7 @@ Vector = tuple[float, float, float]
 COMPARE = "compare with the built-in finger's file"
 
 
-def check_keys(table: str, document: Mapping[str, Any], needed: Iterable[str], optional: Iterable[str] = ()) -> None:
+def check_keys(table: str, document: Mapping[str, object], needed: Iterable[str], optional: Iterable[str] = ()) -> None:
     """Refuse unknown and missing keys of a table; "" is the top level. Raises FingerError."""
     where = f"[{table}]" if table else "the file"
     allowed = set(needed) | set(optional)
@@ -23,14 +23,14 @@ def check_keys(table: str, document: Mapping[str, Any], needed: Iterable[str], o
         raise FingerError(f"{where}: {names(missing)} is missing; {COMPARE}")
 
 
-def sequence(field: str, value: Any) -> tuple[Any, ...]:
+def sequence(field: str, value: object) -> tuple[Any, ...]:
     """Return a list as a tuple. Raises FingerError."""
     if not isinstance(value, list | tuple):
         raise FingerError(f"{field}: {shown(value)}; expected a list")
     return tuple(value)
 
 
-def rows(field: str, value: Any) -> tuple[tuple[Any, ...], ...]:
+def rows(field: str, value: object) -> tuple[tuple[Any, ...], ...]:
     """Return a list of lists as tuples. Raises FingerError."""
     return tuple(sequence(field, row) for row in sequence(field, value))
 
@@ -51,7 +51,7 @@ def check_points(field: str, points: Sequence[Sequence[float]]) -> None:
         raise FingerError(f"{field}: expected 2 to 1000 different [x, y, z] points in mm, each number within ±2000")
 
 
-def check_count(field: str, value: Any, low: int, high: int, usual: str) -> None:
+def check_count(field: str, value: object, low: int, high: int, usual: str) -> None:
     """Check a whole number. Raises FingerError."""
     if type(value) is not int or not low <= value <= high:
         raise FingerError(f"{field}: {shown(value)}; allowed are whole numbers {low} to {high}; {usual}")
@@ -63,13 +63,13 @@ def check_number(field: str, value: Any, low: float, high: float, remedy: str) -
         raise FingerError(f"{field}: {shown(value)}; allowed is {low:g} to {high:g}; {remedy}")
 
 
-def check_vector(field: str, value: Any, low: float, high: float, remedy: str) -> None:
+def check_vector(field: str, value: object, low: float, high: float, remedy: str) -> None:
     """Check three numbers. Raises FingerError."""
     if not isinstance(value, tuple) or len(value) != 3 or not all(finite(v) and low <= v <= high for v in value):
         raise FingerError(f"{field}: {shown(value)}; expected three numbers from {low:g} to {high:g}; {remedy}")
 
 
-def finite(value: Any) -> bool:
+def finite(value: object) -> bool:
     """Whether `value` is a number that can be one of mm, MPa or N."""
     # numpy numbers are floats or have __float__; bool is an int but never meant as a number here
     if isinstance(value, bool) or not isinstance(value, int | float):
@@ -85,7 +85,7 @@ def at(pairs: Pairs, z: float) -> float:
     return pairs[0][1] if z < pairs[0][0] else pairs[-1][1]
 
 
-def shown(value: Any) -> str:
+def shown(value: object) -> str:
     """Return a value as at most 60 characters."""
     try:
         text = repr(value)

@@ -220,7 +220,7 @@ def region_from(table: Mapping[str, Any]) -> Region:
     return Region(table["young_mpa"], side_deg=table.get("side_deg"), name=table.get("name"), **limits)
 
 
-def unit_of(tables: Sequence[Mapping[str, Any]]) -> str:
+def unit_of(tables: Sequence[Mapping[str, object]]) -> str:
     """Return the unit of the commands: mm or N, the same for all. Raises FingerError."""
     for table in tables:
         given = [key for key in ("range_mm", "range_n") if key in table]

@@ -45,7 +45,7 @@ class ChildLate(ChildFault):
     """The child takes longer than it may."""
 
 
-def in_child(function: Callable[..., Any], *args: Any, megabytes: int = 1000, seconds: float = 60.0) -> Any:
+def in_child(function: Callable[..., object], *args: Any, megabytes: int = 1000, seconds: float = 60.0) -> Any:
     """Return `function(*args)` as a forked child found it.
 
     Args:
@@ -115,7 +115,9 @@ def _answer(content: bytearray | None, status: int, megabytes: int, seconds: flo
 
 
 # --- in the child --------------------------------------------------------------------------
-def _be_child(pipe: int, function: Callable[..., Any], args: tuple[Any, ...], megabytes: int, seconds: float) -> None:
+def _be_child(
+    pipe: int, function: Callable[..., object], args: tuple[object, ...], megabytes: int, seconds: float
+) -> None:
     """Run the function under limits, write its answer, and end at once; never returns."""
     try:
         sys.path[:] = [folder for folder in sys.path if folder]  # a module next to the file is not imported
@@ -160,7 +162,7 @@ def _isolate(pipe: int) -> None:
     sys.stdout = sys.stderr = open(os.devnull, "w")  # noqa: SIM115
 
 
-def _result(function: Callable[..., Any], args: tuple[Any, ...], megabytes: int) -> list[memoryview]:
+def _result(function: Callable[..., object], args: tuple[object, ...], megabytes: int) -> list[memoryview]:
     """Return the answer in parts: a line of JSON, and the arrays of which it says the type and shape."""
     arrays: list[memoryview] = []
     try:
@@ -177,7 +179,7 @@ def _result(function: Callable[..., Any], args: tuple[Any, ...], megabytes: int)
         return [_line(["memory", f"needs more than {megabytes} MB of memory"] if short else ["", text])]
 
 
-def _line(document: Any) -> memoryview:
+def _line(document: object) -> memoryview:
     text = json.dumps(document).encode()
     return memoryview(text + b" " * (-(len(text) + 1) % _ALIGNED) + b"\n")
 
@@ -187,7 +189,7 @@ def _write(pipe: int, part: memoryview) -> None:
         part = part[os.write(pipe, part[: 1 << 20]) :]
 
 
-def _packed(value: Any, arrays: list[memoryview]) -> Any:
+def _packed(value: object, arrays: list[memoryview]) -> Any:
     """Return a value as JSON holds it; the bytes of arrays go to `arrays`, each filled up to `_ALIGNED`."""
     if isinstance(value, np.ndarray):
         if value.dtype.hasobject or value.dtype.names:
@@ -210,7 +212,7 @@ class _Reader:
     def __init__(self, content: memoryview) -> None:
         self.content, self.at = content, 0
 
-    def value(self, document: Any) -> Any:
+    def value(self, document: object) -> Any:
         """Return the value that a part of the document stands for; ValueError where it does not fit the content."""
         if not isinstance(document, dict):
             return document

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import re
 import textwrap
-from typing import Any
 
 WIDTH = 100  # of a line of text
 BAR = 28
@@ -22,7 +21,7 @@ def bar(value: float, scale: float, width: int = BAR) -> str:
     return "█" * (eighths // 8) + (EIGHTHS[eighths % 8] if eighths % 8 else "")
 
 
-def mm(value: Any) -> str:
+def mm(value: object) -> str:
     """Return a length with three figures ('0.123', '12.3'), or '–' where it is not known."""
     if not isinstance(value, (int, float)) or not math.isfinite(value):
         return "–"
@@ -38,7 +37,7 @@ def fall(before: float, after: float, floor: float | None = None) -> float | Non
     return (before - after) / removable if removable > 0 and math.isfinite(after) else None
 
 
-def percent(share: Any) -> str:
+def percent(share: object) -> str:
     """Return a share as '87 %', or '–' where it is not known."""
     known = number(share)
     if known is None:
@@ -46,12 +45,12 @@ def percent(share: Any) -> str:
     return f"{100 * known:.0f} %" if abs(100 * known) < LARGEST else f"{100 * known:.1e} %"
 
 
-def number(value: Any) -> float | None:
+def number(value: object) -> float | None:
     """Return a finite number as a float, anything else as None."""
     return float(value) if isinstance(value, (int, float)) and math.isfinite(value) else None
 
 
-def tamed(text: Any) -> str:
+def tamed(text: object) -> str:
     """Return a sentence with its numbers of seven digits and more written as powers of ten ('+1.2e+31 % in mm')."""
 
     def short(found: re.Match[str]) -> str:

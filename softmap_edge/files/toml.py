@@ -6,34 +6,41 @@ is written into TOML. Pinned by tests/robot/test_rig_file.py.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from softmap_edge.errors import RunError, no_name
+from softmap_edge.errors import RunError, nearest, no_name
 
 Array = NDArray[np.float64]
+_KINDS: dict[type, str] = {
+    str: "text",
+    int: "a whole number",
+    float: "a number",
+    bool: "true or false",
+    list: "a list",
+    dict: "a table",
+}
 
 
 class TomlTable:
     """A TOML table that remembers what was asked for, so that what nobody asked for can be named."""
 
-    def __init__(self, values: Any, where: str) -> None:
+    def __init__(self, values: object, where: str) -> None:
         if not isinstance(values, dict):
             raise RunError(f"{where}: {kind(values)}, expected a table; examples/trunk.toml shows the form")
         self.values, self.where, self.asked = values, where, list[str]()
 
-    def get(self, key: str, kinds: tuple[type, ...], default: Any = None) -> Any:
+    def get(self, key: str, kinds: tuple[type, ...], default: object = None) -> Any:
         """Return the value of a key, of one of the given kinds."""
         self.asked.append(key)
         if key not in self.values:
             return default
         value = self.values[key]
         if not isinstance(value, kinds) or (isinstance(value, bool) and bool not in kinds):
-            names = " or ".join(
-                {str: "text", int: "a whole number", float: "a number"}.get(k, k.__name__) for k in kinds
-            )
+            names = " or ".join(_KINDS.get(k, k.__name__) for k in kinds)
             raise RunError(f"{self.where}: {key} is {kind(value)}, expected {names}")
         return value
 
@@ -57,7 +64,9 @@ class TomlTable:
         """Return a text that is one of a few."""
         value = str(self.get(key, (str,), default))
         if value not in allowed:
-            raise RunError(f"{self.where}: {key} = '{value[:40]}', expected one of {', '.join(allowed)}")
+            near = nearest(value, allowed)
+            hint = f"; did you mean '{near[0]}'?" if near else ""
+            raise RunError(f"{self.where}: {key} = '{value[:40]}', expected one of {', '.join(allowed)}{hint}")
         return value
 
     def table(self, key: str) -> TomlTable:
@@ -79,6 +88,11 @@ class TomlTable:
             raise RunError(f"{self.where}: {key} holds NaN or a number beyond 1e12; give plain numbers")
         return array
 
+    def only(self, keys: Iterable[str]) -> None:
+        """Raise RunError if the table holds a key that is not among `keys`, the complete list."""
+        self.asked = list(keys)
+        self.done()
+
     def done(self) -> None:
         """Raise RunError if a key was never asked for."""
         unknown = [key for key in self.values if key not in self.asked]
@@ -86,11 +100,12 @@ class TomlTable:
             raise RunError(f"{self.where}: {no_name('key', unknown[0], self.asked)}")
 
 
-def kind(value: Any) -> str:
-    return f"{type(value).__name__} {shown(value)!r}"
+def kind(value: object) -> str:
+    name = _KINDS.get(type(value), type(value).__name__)
+    return f"{name} {shown(value)!r}"
 
 
-def shown(value: Any) -> str:
+def shown(value: object) -> str:
     try:
         return str(value)[:40]
     except ValueError:  # python does not print whole numbers of more than 4300 digits
@@ -107,7 +122,7 @@ def _escaped(code: int) -> str:
     return f"\\u{code:04X}" if code <= 0xFFFF else f"\\U{code:08X}"
 
 
-def written(value: Any) -> str:
+def written(value: object) -> str:
     """Return a text, a number or a list of them as TOML writes it."""
     if isinstance(value, list | tuple):
         return f"[{', '.join(map(written, value))}]"

@@ -75,7 +75,7 @@ def seen(
     if not visible.all():
         fields["visible"] = visible
         _tell_dropouts(visible, log.markers.labels, notes)
-    points = _without_swaps(points, table.t, log.markers, notes, doubts)
+    points = _without_swaps(points, table.t, log, notes, doubts)
     if "visible" in fields:
         fields["visible"] = np.isfinite(points).all(axis=2)
     fields["markers"] = mapping.to_base(points)
@@ -139,12 +139,18 @@ def _without_shifts(table: LogTable, markers: Quantity, doubts: list[str]) -> Lo
     return _with_numbers(table, markers.columns, points)
 
 
-def _without_swaps(points: Array, t: Array, markers: Quantity, notes: list[str], doubts: list[str]) -> Array:
+def _without_swaps(points: Array, t: Array, log: Log, notes: list[str], doubts: list[str]) -> Array:
     """Return points (K, M, 3) with exchanged markers exchanged back if the mapping says so; else report them."""
+    markers = log.markers
+    assert markers is not None
     swaps = find_swaps(points, t, markers.labels)
+    swaps = [replace(swap, t=None) for swap in swaps] if log.clock.timeless else swaps
     if swaps and markers.swaps == "mend":
         notes += _few([f"{swap}: mended" for swap in swaps])
-        return mend_swaps(points, swaps)
+        mended, first = mend_swaps(points, swaps)
+        if not first:
+            notes.append("the log begins with exchanged markers; the names of most of its frames count")
+        return mended
     remedy = 'look at them; markers.swaps = "mend" exchanges them back'
     doubts += _few([f"{swap}; {remedy}" for swap in swaps])
     return points

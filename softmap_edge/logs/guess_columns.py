@@ -30,13 +30,13 @@ from softmap_edge.logs.readers.text import TextColumns
 from softmap_edge.logs.readers.unit_cells import refuse_unit_cells
 from softmap_edge.logs.sources import Part, called, groups_of, open_recording, parts_of, pattern_of, topics_of
 from softmap_edge.logs.table import open_log
+from softmap_edge.logs.time_names import TIME_NAME
 from softmap_edge.logs.triples import Triples, find_pairs, find_triples
 
 Array = NDArray[np.float64]
 ROWS = 20_000  # of each log that are looked at
 MOST_COLUMNS = 4096  # of each log: names are compared by pairs
 _MOST_LENGTHS = 16  # tables of different lengths of one file of arrays
-TIME_NAME = re.compile(r"^t$|time|stamp|clock|^sec|^t_|_t$", re.IGNORECASE)
 _JOINTS = re.compile(r"joint_?states?", re.IGNORECASE)  # a topic, a column or a type of message
 _LABELS = re.compile(r"block|label|segment|trial|phase|pattern|part|condition|experiment", re.IGNORECASE)
 _PLACES = re.compile(r"marker|point|(^|[._])tip($|_)|xyz|mocap|optitrack|vicon|place|end_?effector", re.IGNORECASE)

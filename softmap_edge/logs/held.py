@@ -37,10 +37,13 @@ class Held:
     in_turn: bool = False  # channels are read one after the other
 
     def __str__(self) -> str:
+        return self.text()
+
+    def text(self, beat: str | None = None) -> str:
+        """Return what was held, with the time between new values; `beat` stands for it in a log without time."""
         how = "each channel in turn " if self.in_turn else ""
-        return (
-            f"{100 * self.share:.0f} % of the rows repeat the one before (read {how}every {self.hold_s * 1e3:.0f} ms)"
-        )
+        beat = beat or f"every {self.hold_s * 1e3:.0f} ms"
+        return f"{100 * self.share:.0f} % of the rows repeat the one before (read {how}{beat})"
 
 
 def unhold(t: Array, rows: Array) -> tuple[Array, Held]:

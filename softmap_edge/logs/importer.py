@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from softmap_edge import _core
 from softmap_edge.errors import RunError
 from softmap_edge.files.mcap_records import Damage
+from softmap_edge.files.printable import listed
 from softmap_edge.files.time_digits import differing
 from softmap_edge.logs.clock import corrected
 from softmap_edge.logs.frames import choose_frames, seen
@@ -32,7 +33,9 @@ from softmap_edge.logs.mapping import ANGLE, LENGTH, Mapping, Quantity, read_map
 from softmap_edge.logs.plausible import doubts_of_both, doubts_of_rest, doubts_of_rows, doubts_of_time
 from softmap_edge.logs.sources import assign, named, open_parts, parts_of
 from softmap_edge.logs.table import LogTable, read_log
+from softmap_edge.logs.time_names import is_time_name
 from softmap_edge.logs.unwrap import counted_on
+from softmap_edge.run.fields import ROW_S
 from softmap_edge.run.plane import AXES, PLANE
 from softmap_edge.run.run import DAMAGE, NO_COMMANDS, NOT_SEEN, SPOOL_RADIUS, Run
 
@@ -74,7 +77,9 @@ def import_logs(paths: Sequence[str | os.PathLike[str]], mapping: Mapping) -> Im
         notes += [f"{one.label}: {note}" for note in table.notes if not isinstance(note, Damage)]
         doubts += [f"{one.label}: {doubt}" for doubt in table.doubts]
     fields: dict[str, Any] = _timeless(mapping, notes)
-    if not fields:
+    if fields:
+        doubts += [f"{one.label}: {doubt}" for one, table in zip(logs, tables) for doubt in _unused_time(table.names)]
+    else:
         doubts += [f"{one.label}: {doubt}" for one, table in zip(logs, tables) for doubt in doubts_of_time(table.t)]
     t = _command_rows(tables, mapping, fields, notes, doubts)
     doubts += doubts_of_both(fields)
@@ -135,10 +140,35 @@ def _timeless(mapping: Mapping, notes: list[str]) -> dict[str, Any]:
         return {}
     if len(mapping.logs) > 1:
         raise RunError(f'{mapping.path}: time = "none" and {len(mapping.logs)} logs: only time could join them')
-    if mapping.command_rate_hz is not None or mapping.seen_rate_hz is not None:
-        raise RunError(f'{mapping.path}: rate_hz in a mapping with time = "none"; leave one of them out')
+    asked = {
+        "commands.rate_hz": mapping.command_rate_hz,
+        "seen.rate_hz": mapping.seen_rate_hz,
+        "seen.from_s": mapping.from_s,
+        "seen.to_s": mapping.to_s,
+        "seen.fast_ppm": mapping.fast_ppm or None,
+        "seen.clock_step": mapping.clock_step,
+        "blocks.seconds": mapping.block_seconds,
+        "constant.marker_rest_s": mapping.marker_rest_s,
+    }
+    named = [key for key, value in asked.items() if value is not None]
+    if named:
+        raise RunError(
+            f'{mapping.path}: {", ".join(named)} in a mapping with time = "none": a log without time has rows only; '
+            "leave one of them out (from_row and to_row cut it, blocks.count divides it)"
+        )
     notes.append("the log has no time: rows count, and nothing about rates or delays can be learned from it")
     return {"timeless": True}
+
+
+def _unused_time(names: Sequence[str]) -> list[str]:
+    """Return the doubt that a log which is declared to have no time has columns that are called as time is."""
+    times = [name for name in names if is_time_name(name)]
+    if not times:
+        return []
+    return [
+        f't: time = "none" is declared, but columns are called {listed(times, 4)}: they are not used, and nothing '
+        "about rates or delays is identified; name one in `time` if it holds the time"
+    ]
 
 
 def _sha256(path: Path) -> str:
@@ -175,7 +205,8 @@ def _command_rows(
             if quantity.held != "keep":
                 values, held = unhold(own, values)
                 if held.hold_s:
-                    notes.append(f"{name}: {held}: un-held by straight lines between new values")
+                    beat = f"every {held.hold_s / ROW_S:.0f} rows" if "timeless" in fields else None
+                    notes.append(f"{name}: {held.text(beat)}: un-held by straight lines between new values")
                 elif quantity.held == "unhold":
                     notes.append(f"{name}: no held samples found")
             column = values if t is None or np.array_equal(t, own) else _interpolate(t, own, values)

@@ -93,7 +93,7 @@ def read_info(path: Path) -> Info:
     return Info(str(document.get("codebase_version", ""))[:20], float(fps) if known else None, names)
 
 
-def _names(feature: Any) -> list[str]:
+def _names(feature: object) -> list[str]:
     """Return the names of the elements of a feature: a list, or a list in a table (`{"motors": […]}`)."""
     names = feature.get("names") if isinstance(feature, dict) else None
     if isinstance(names, dict):
@@ -105,7 +105,7 @@ def _names(feature: Any) -> list[str]:
 
 
 # --- calibration ---------------------------------------------------------------------------
-def explained(document: Any) -> str | None:
+def explained(document: object) -> str | None:
     """Return an explanation of a calibration of LeRobot and how to use it; None for another document."""
     if not isinstance(document, dict) or not 0 < len(document) <= _MOST:
         return None
@@ -126,7 +126,7 @@ def _motor(name: str, motor: dict[str, Any]) -> str:
     return f"{name[:20]} (id {_short(motor['id'])}, {_short(motor['range_min'])} to {_short(motor['range_max'])})"
 
 
-def _short(value: Any) -> str:
+def _short(value: object) -> str:
     return f"{value:g}" if isinstance(value, int | float) and abs(value) < 1e9 else "?"
 
 

@@ -43,6 +43,19 @@ UNITS: dict[str, tuple[str, ...]] = {
     "markers": (*LENGTH, FILE),
     "base": (*LENGTH, FILE),
 }
+KEYS = (
+    *("schema", "robot", "command_unit", "zero_time", "log"),
+    *("frame", "commands", "seen", "blocks", "constant"),
+)
+LOG = (
+    *("file", "topic", "episode", "delimiter", "decimal", "header"),
+    *("skip_rows", "skip_last_rows", "from_row", "to_row", "time", "block", "output"),
+)
+QUANTITY = ("columns", "unit", "scale", "offset", "spool_radius_mm", "held")
+CONSTANTS = (
+    *("gravity", "temperature_c", "sigma_mm", "marker_rest_mm", "marker_rest_s"),
+    *("load_g", "declare_load"),
+)
 _SIZE = 1_000_000  # bytes: a mapping is a page
 
 
@@ -151,6 +164,7 @@ def parse_mapping(text: str, path: Path) -> Mapping:
 
 
 def _mapping(path: Path, top: TomlTable) -> Mapping:
+    top.only(KEYS)
     schema = top.get("schema", (str,), "")
     if schema != SCHEMA:
         raise RunError(
@@ -163,12 +177,17 @@ def _mapping(path: Path, top: TomlTable) -> Mapping:
     frame, commands, seen, blocks, constant = (
         top.table(k) for k in ("frame", "commands", "seen", "blocks", "constant")
     )
+    frame.only(("origin_mm", "axes"))
+    commands.only(("rate_hz",))
+    seen.only(("rate_hz", "from_s", "to_s", "fast_ppm", "clock_step"))
+    blocks.only(("count", "seconds"))
+    constant.only(CONSTANTS)
     origin = frame.numbers("origin_mm", (3,))
     gravity = constant.numbers("gravity", (3,))
     temperature = constant.number("temperature_c")
     sigma = constant.number("sigma_mm")
     pairs = {"gravity": gravity, "temperature": temperature, "sigma": sigma}
-    mapping = Mapping(
+    return Mapping(
         path=path,
         robot=top.get("robot", (str,)),
         command_unit=unit,
@@ -190,9 +209,6 @@ def _mapping(path: Path, top: TomlTable) -> Mapping:
         fast_ppm=seen.number("fast_ppm", 0.0, -1e5, 1e5) or 0.0,
         clock_step=_step(seen),
     )
-    for table in (frame, commands, seen, blocks, constant, top):
-        table.done()
-    return mapping
 
 
 def _step(seen: TomlTable) -> tuple[float, float] | None:
@@ -238,6 +254,7 @@ def _axes(frame: TomlTable) -> tuple[tuple[int, int], ...]:
 
 
 def _log(table: TomlTable, command_unit: str) -> Log:
+    table.only((*LOG, *UNITS))
     clock = clock_of(table)
     rows = {name: _quantity(table, name, command_unit) for name in UNITS if name in table.values}
     markers, base = (rows.pop(name, None) for name in POINTS)
@@ -264,8 +281,6 @@ def _log(table: TomlTable, command_unit: str) -> Log:
     )
     if log.decimal == "," and log.delimiter == ",":
         raise RunError(f"{table.where}: comma is both delimiter and decimal; the file cannot be read so")
-    table.asked += list(UNITS)
-    table.done()
     if log.output is not None and (markers is not None or base is not None):
         raise RunError(f"{table.where}: output and markers: a run holds outputs or places; make two runs of them")
     if markers is not None and base is not None and markers.axes != base.axes:
@@ -283,6 +298,8 @@ def _column(table: TomlTable, key: str) -> Column | None:
 
 def _quantity(log: TomlTable, name: str, command_unit: str) -> Quantity:
     table = log.table(name)
+    points = ("not_seen", "labels", "swaps") if name == "markers" else ("not_seen",) if name in POINTS else ()
+    table.only((*QUANTITY, *points, *(("unwrap",) if name in DRIVES else ())))
     listed, flat = table.values.get("columns", []), columns_of(table)
     sizes = {len(e) if isinstance(e, list) else 0 for e in listed} if isinstance(listed, list) else set()
     axes = 2 if sizes == {2} else 3
@@ -313,7 +330,7 @@ def _quantity(log: TomlTable, name: str, command_unit: str) -> Quantity:
         and {unit, command_unit} != set(ANGLE)
     ):
         raise RunError(f"{table.where}: unit {unit} cannot become command_unit {command_unit}; give both in one unit")
-    quantity = Quantity(
+    return Quantity(
         columns=tuple(flat),
         unit=unit,
         scale=per_column(table, "scale", len(flat), 1.0),
@@ -326,8 +343,6 @@ def _quantity(log: TomlTable, name: str, command_unit: str) -> Quantity:
         axes=axes if name in POINTS else 1,
         unwrap=_unwrap(table, len(flat)) if name in DRIVES and "unwrap" in table.values else None,
     )
-    table.done()
-    return quantity
 
 
 def _unwrap(table: TomlTable, count: int) -> Array:

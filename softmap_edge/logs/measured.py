@@ -39,6 +39,7 @@ def measured_of(log: TomlTable) -> Measured | None:
     if "output" not in log.values:
         return None
     table = log.table("output")
+    table.only(("columns", "names", "unit", "scale", "offset", "not_seen"))
     columns = columns_of(table)
     names = table.get("names", (list,), [str(column) for column in columns])
     if len(names) != len(columns) or not all(isinstance(name, str) for name in names):
@@ -46,7 +47,7 @@ def measured_of(log: TomlTable) -> Measured | None:
     unit = table.get("unit", (str,), "")
     if not unit:
         raise RunError(f'{table.where}: unit is missing; say what the numbers are: unit = "N"')
-    measured = Measured(
+    return Measured(
         columns=tuple(columns),
         names=tuple(names),
         unit=unit,
@@ -54,8 +55,6 @@ def measured_of(log: TomlTable) -> Measured | None:
         offset=per_column(table, "offset", len(columns), 0.0),
         not_seen=not_seen_of(table),
     )
-    table.done()
-    return measured
 
 
 def not_seen_of(table: TomlTable) -> tuple[float, ...] | None:

@@ -25,7 +25,7 @@ from softmap_edge.logs.readers.mcap_file import Topic, open_mcap, topics
 from softmap_edge.logs.readers.messages import no_message, several_topics
 from softmap_edge.logs.readers.packed import unpack
 from softmap_edge.logs.readers.parquet_log import episodes_in
-from softmap_edge.logs.readers.parts import JoinedColumns
+from softmap_edge.logs.readers.parts import JoinedColumns, joined
 from softmap_edge.logs.readers.rosbag_folder import files_of
 from softmap_edge.logs.readers.rosbag_sqlite import open_db3, topics_of_db3
 from softmap_edge.logs.table import columns_named, header_hint, open_log
@@ -147,7 +147,7 @@ def open_parts(parts: Sequence[Part], log: Log) -> Columns:
         raise RunError(f"{names}: only a column of time could put them in order; import each file alone")
     opened = [(part.path.name, open_parts([part], log)) for part in parts]
     _check_alike(first.path, opened, log)
-    return JoinedColumns(first.path, tuple(opened), log.clock)
+    return joined(first.path, opened, log.clock)
 
 
 def _check_alike(path: Path, opened: Sequence[tuple[str, Columns]], log: Log) -> None:
@@ -271,7 +271,7 @@ def _alike(logs: tuple[Log, ...]) -> tuple[list[Log], list[list[str]]]:
     return [log for log, _ in found.values()], [names for _, names in found.values()]
 
 
-def _described(value: Any) -> str:
+def _described(value: object) -> str:
     """Return all keys of a log in a mapping, as text."""
     if isinstance(value, np.ndarray):
         return str(value.tolist())

@@ -1,9 +1,10 @@
 """Markers that change places: two labels whose points exchange between one frame and the next.
 
 Between frames a marker moves little beside its distance to the others. Where each of some markers is nearest to the
-last place of another of them, the labels were exchanged. A dropout in between is bridged for half a second. Known
-limits: labels that exchange while one of them is not seen, and moves between frames of more than 0.3 of the distance
-between two markers, are not judged. Pinned by tests/logs/test_import_markers.py.
+last place of another of them, the labels were exchanged. A dropout in between is bridged for half a second. The
+labels of most frames are the right ones: a tracker may have begun with exchanged ones. Known limits: labels that
+exchange while one of them is not seen, and moves between frames of more than 0.3 of the distance between two
+markers, are not judged. Pinned by tests/logs/test_import_markers.py.
 """
 
 from __future__ import annotations
@@ -24,14 +25,15 @@ class Swap:
     """At `frame` the markers `after` show what the markers `before` showed until then."""
 
     frame: int
-    t: float
+    t: float | None  # s; None in a log without time
     after: tuple[int, ...]
     before: tuple[int, ...]
     labels: tuple[str, ...]
 
     def __str__(self) -> str:
         names = [self.labels[m] for m in self.after]
-        return f"{', '.join(names[:-1])} and {names[-1]} change places at frame {self.frame} ({self.t:.6g} s)"
+        when = "" if self.t is None else f" ({self.t:.6g} s)"
+        return f"{', '.join(names[:-1])} and {names[-1]} change places at frame {self.frame}{when}"
 
 
 def find_swaps(points: Array, t: Array, labels: tuple[str, ...]) -> list[Swap]:
@@ -64,16 +66,32 @@ def find_swaps(points: Array, t: Array, labels: tuple[str, ...]) -> list[Swap]:
     return found
 
 
-def mend_swaps(points: Array, swaps: list[Swap]) -> Array:
-    """Return the points with every swap undone: each label shows the marker it showed in the first frame."""
-    mended = points.copy()
-    shown = np.arange(points.shape[1])  # which marker each label shows
-    for swap, end in zip(swaps, [*(later.frame for later in swaps[1:]), len(points)]):
+def mend_swaps(points: Array, swaps: list[Swap]) -> tuple[Array, bool]:
+    """Undo every swap: each label shows the marker that it shows in most frames.
+
+    Args:
+        points: (K, M, 3). swaps: in the order of their frames.
+
+    Returns:
+        The points (K, M, 3), and whether the first frame has the names of most frames.
+    """
+    shown = np.arange(points.shape[1])  # which marker of the first frame each label shows
+    stretches = [(0, shown)]
+    for swap in swaps:
         turned = shown.copy()
         turned[list(swap.after)] = shown[list(swap.before)]
         shown = turned
-        mended[swap.frame : end, shown] = points[swap.frame : end]
-    return mended
+        stretches.append((swap.frame, shown))
+    ends = [*(start for start, _ in stretches[1:]), len(points)]
+    frames: dict[tuple[int, ...], int] = {}
+    for (start, shown), end in zip(stretches, ends):
+        frames[tuple(shown.tolist())] = frames.get(tuple(shown.tolist()), 0) + end - start
+    usual = np.array(max(frames, key=lambda names: frames[names]))  # the first of equal ones
+    label = np.argsort(usual)  # of each marker
+    mended = points.copy()
+    for (start, shown), end in zip(stretches, ends):
+        mended[start:end, label[shown]] = points[start:end]
+    return mended, bool((usual == np.arange(len(usual))).all())
 
 
 def _last_seen(points: Array, t: Array) -> Array:

@@ -218,7 +218,7 @@ def _all_there(path: Path, columns: Columns, wanted: list[Column], delimiter: st
     raise RunError(f"{path}: no column {absent}; there are {_listed(names)}{hint}; change the mapping")
 
 
-def header_hint(columns: Any) -> str:
+def header_hint(columns: object) -> str:
     """Return the line from which names were taken and the ways out if it is the wrong one; "" of other formats.
 
     Args:

@@ -10,6 +10,10 @@ from softmap_edge.logs.measured import Column
 from softmap_edge.logs.time_text import ORDERS
 from softmap_edge.run.fields import ROW_S
 
+KEYS = (
+    *("column", "unit", "rate_hz", "columns", "units", "offset_s"),
+    *("repeated", "jumps", "date_order", "assumed"),
+)
 NO_TIME = "none"  # the `time` of a log without time: its rows are counted
 TIME = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0, "d": 86400.0}  # → s
 
@@ -52,10 +56,16 @@ def clock_of(log: TomlTable) -> Clock:
     Raises:
         RunError: it declares none, or a key is wrong.
     """
-    if log.values.get("time") == NO_TIME:
-        log.get("time", (str,))
+    given = log.values.get("time")
+    if given == NO_TIME:
         return Clock(None, ROW_S, timeless=True)
+    if isinstance(given, str):
+        raise RunError(
+            f"{log.where}: time = '{shown(given)}', expected a table such as {{ column = \"t\" }}, or time = "
+            f'"{NO_TIME}" (in lower case) for a log without time'
+        )
     time = log.table("time")
+    time.only(KEYS)
     rate = time.number("rate_hz", None, 1e-6, 1e7)
     several = _columns(time)
     one = time.get("column", (str, int))
@@ -69,7 +79,7 @@ def clock_of(log: TomlTable) -> Clock:
     if several and rate is not None:
         raise RunError(f"{time.where}: columns and rate_hz; leave rate_hz out, or give one column, a counter")
     unit = time.choice("unit", tuple(TIME), "s")
-    clock = Clock(
+    return Clock(
         column=several[0][0] if several else one,
         seconds=several[0][1] if several else TIME[unit] if rate is None else 1.0 / rate,
         offset_s=time.number("offset_s", 0.0) or 0.0,
@@ -79,8 +89,6 @@ def clock_of(log: TomlTable) -> Clock:
         jumps=time.choice("jumps", ("refuse", "mend"), "refuse"),
         assumed=bool(time.get("assumed", (bool,), False)),
     )
-    time.done()
-    return clock
 
 
 def _date_order(time: TomlTable) -> str | None:

@@ -1,9 +1,10 @@
-"""Read the unit of time out of a name that has it as a word: `millis`, `timeMs`, `t_usec`, `Elapsed Seconds`."""
+"""Recognise the names of columns of time, and the unit that is a word of them: `millis`, `timeMs`, `t_usec`."""
 
 from __future__ import annotations
 
 import re
 
+TIME_NAME = re.compile(r"^t$|time|stamp|clock|^sec|^t_|_t$", re.IGNORECASE)
 _WORDS = {
     "s": ("s", "sec", "secs", "second", "seconds"),
     "ms": ("ms", "msec", "msecs", "milli", "millis", "millisec", "millisecs", "millisecond", "milliseconds"),
@@ -35,3 +36,9 @@ def is_time_unit(name: str) -> bool:
         and words[-1] in _ALONE
         and set(words[:-1]) <= {"elapsed", "system", "uptime", "run", "since", "start"}
     )
+
+
+def is_time_name(name: str) -> bool:
+    """Whether a column has the name of a time; its unit may stand behind it in brackets."""
+    bare = re.sub(r"[\[(].*?[\])]", "", name).strip()
+    return TIME_NAME.search(bare) is not None or is_time_unit(bare)

@@ -103,8 +103,8 @@ class TimeText:
             return counted_on(both[:, 0], self.period)
         if self.form != "local" or self.order is not None:
             column = 1 if self.order == "mdy" else 0
-            if np.isnan(both[:, column]).any() and not np.isnan(both).all(axis=1).any():
-                raise TimeTextError(f"the dates are no {_WORDS[self.order or 'dmy']}")
+            if np.isnan(both[~np.isnan(both).all(axis=1), column]).any():
+                raise TimeTextError(f"the dates are no {ORDER_WORDS[self.order or 'dmy']}")
             return both[:, column], None
         return _ordered(both)
 
@@ -114,7 +114,7 @@ class TimeText:
         return names.get(self.form, "time of day (hours:minutes:seconds)")
 
 
-_WORDS = {"dmy": "day/month/year", "mdy": "month/day/year"}
+ORDER_WORDS = {"dmy": "day/month/year", "mdy": "month/day/year"}
 
 
 def is_time(cell: str) -> bool:
@@ -161,6 +161,57 @@ def counted_on(seconds: Array, period: float) -> tuple[Array, str | None]:
     return seconds + period * np.cumsum(turns), f"the time passes {what} {int(falls.sum())} times and counts on"
 
 
+def common_order(parts: Sequence[Array]) -> str | None:
+    """Return the order of day and month of the parts of one log, `dmy` or `mdy`; None if it makes no difference.
+
+    Args:
+        parts: the seconds (rows, 2) of the dates of each part, in both orders.
+
+    Raises:
+        TimeTextError: no order fits all parts, or the parts do not decide between them.
+    """
+    known = [both[~np.isnan(both).all(axis=1)] for both in parts]
+    known = [both for both in known if len(both)]
+    possible = [k for k in (0, 1) if not any(np.isnan(both[:, k]).any() for both in known)]
+    if not possible:
+        raise TimeTextError("the dates of its parts are neither all day/month/year nor all month/day/year")
+    if len(possible) == 1:
+        return ORDERS[possible[0]]
+    if not known or not np.ptp(np.concatenate([both[:, 0] - both[:, 1] for both in known])):
+        return None
+    largest = []
+    for k in possible:
+        columns = sorted((both[:, k] for both in known), key=lambda column: float(column[0]))
+        largest.append(float(np.abs(np.diff(np.concatenate(columns))).max(initial=0.0)))
+    k = int(np.argmin(largest))
+    if largest[1 - k] < _CLEARER * largest[k]:
+        raise TimeTextError("the dates of its parts can be day/month/year or month/day/year")
+    return ORDERS[k]
+
+
+def around_the_clock(spans: Sequence[tuple[float, float]], period: float) -> tuple[list[int], list[int]]:
+    """Return the order of parts whose times begin again after a period, and the turns to add to each of them.
+
+    Of all orders on the circle of the clock, that with the shortest longest pause is taken.
+
+    Args:
+        spans: the first and the last time (s) of each part. period: s, of a day or an hour.
+    """
+    begins = [begin % period for begin, _ in spans]
+    lengths = [end - begin for begin, end in spans]
+    order = sorted(range(len(spans)), key=lambda k: begins[k])
+    ways = []
+    for first in range(len(order)):
+        turned = [*order[first:], *order[:first]]
+        start = [begins[k] + period * (place >= len(order) - first) for place, k in enumerate(turned)]
+        ends = [begin + lengths[k] for begin, k in zip(start, turned)]
+        pauses = [begin - end for begin, end in zip(start[1:], ends)]
+        ways.append((min(pauses, default=0.0) < 0.0, max(pauses, default=0.0), turned, start))
+    _, _, turned, start = min(ways, key=lambda way: way[:2])
+    turns = dict(zip(turned, (round((begin - spans[k][0]) / period) for begin, k in zip(start, turned))))
+    return turned, [turns[k] for k in range(len(spans))]
+
+
 def _ordered(both: Array) -> tuple[Array, str | None]:
     """Return the times in the order of day and month that the rows allow, and a note."""
     there = ~np.isnan(both).all(axis=1)
@@ -169,7 +220,7 @@ def _ordered(both: Array) -> tuple[Array, str | None]:
         raise TimeTextError("the dates are neither all day/month/year nor all month/day/year")
     if not all(possible):
         k = possible.index(True)
-        return both[:, k], f"the dates are {_WORDS[ORDERS[k]]}"
+        return both[:, k], f"the dates are {ORDER_WORDS[ORDERS[k]]}"
     largest = [float(np.abs(np.diff(both[there, k])).max(initial=0.0)) for k in (0, 1)]
     if not np.ptp(both[there, 0] - both[there, 1]):  # one date
         note = "the date may be day/month or month/day; the time within the log is the same (time.date_order sets it)"
@@ -177,7 +228,7 @@ def _ordered(both: Array) -> tuple[Array, str | None]:
     k = int(np.argmin(largest))
     if largest[1 - k] < _CLEARER * largest[k]:
         raise TimeTextError("the dates can be day/month/year or month/day/year")
-    return both[:, k], f"the dates are {_WORDS[ORDERS[k]]}: in the other order they leap"
+    return both[:, k], f"the dates are {ORDER_WORDS[ORDERS[k]]}: in the other order they leap"
 
 
 def _seconds(found: re.Match[str], known: dict[tuple[str, ...], tuple[float, float]]) -> tuple[float, float]:

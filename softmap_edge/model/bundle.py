@@ -382,7 +382,7 @@ def _made_from(manifest: dict[str, Any]) -> dict[str, Any]:
     return dict(made)
 
 
-def _is_piece(part: Any) -> bool:
+def _is_piece(part: object) -> bool:
     """Whether it is the hash of a recording with two times, s."""
     if not isinstance(part, list) or len(part) != 3:
         return False

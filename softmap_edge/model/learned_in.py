@@ -82,7 +82,7 @@ class LearnedIn:
         return asdict(self)
 
     @classmethod
-    def from_dict(cls, document: Mapping[str, Any]) -> LearnedIn:
+    def from_dict(cls, document: Mapping[str, object]) -> LearnedIn:
         """Read a record of a manifest.
 
         Raises:

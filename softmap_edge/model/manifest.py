@@ -75,18 +75,18 @@ def load_manifest(path: str | Path) -> dict[str, Any]:
     return manifest
 
 
-def _require(manifest: dict[str, Any], key: str, fits: Callable[[Any], bool], what: str) -> None:
+def _require(manifest: dict[str, Any], key: str, fits: Callable[[object], bool], what: str) -> None:
     if key not in manifest or not fits(manifest[key]):
         raise BundleError(
             f"manifest.json: '{key}' is {manifest.get(key)!r:.80}, expected {what}; build or copy it again"
         )
 
 
-def _plain(value: Any) -> bool:
+def _plain(value: object) -> bool:
     return isinstance(value, str) and len(value) <= 100 and value.isprintable()
 
 
-def finite_number(value: Any) -> bool:
+def finite_number(value: object) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= LARGEST
 
 
@@ -98,11 +98,11 @@ def _error(value: Any) -> bool:
     return finite_number(value) and bool(value >= 0)
 
 
-def _file_hashes(value: Any) -> bool:
+def _file_hashes(value: object) -> bool:
     return isinstance(value, dict) and len(value) <= 100 and all(map(_digest, value.values()))
 
 
-def _hashes(value: Any) -> bool:
+def _hashes(value: object) -> bool:
     return (
         isinstance(value, dict)
         and len(value) <= 16
@@ -111,11 +111,11 @@ def _hashes(value: Any) -> bool:
     )
 
 
-def _digest(value: Any) -> bool:
+def _digest(value: object) -> bool:
     return isinstance(value, str) and re.fullmatch("[0-9a-f]{64}", value) is not None
 
 
-def _floats(value: Any, length: int) -> bool:
+def _floats(value: object, length: int) -> bool:
     return isinstance(value, list) and len(value) == length and all(finite_number(v) for v in value)
 
 

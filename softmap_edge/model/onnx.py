@@ -43,7 +43,7 @@ NODES = {1: 201, 2: 61, 3: 21}  # of a table, by channels; of smooth networks 0.
 
 
 def read_network(
-    file: Path, command_range: Floats, prior: Mapping[str, Any], trusted: Callable[[Path, str], bool]
+    file: Path, command_range: Floats, prior: Mapping[str, object], trusted: Callable[[Path, str], bool]
 ) -> tuple[Arrays, dict[str, Any] | None]:
     """Read an ONNX file: the arrays of its shape, and a description if only onnxruntime can read it.
 
@@ -88,7 +88,7 @@ def read_network(
 
 
 def table_from_onnxruntime(
-    name: str, content: bytes, command_range: Floats, prior: Mapping[str, Any], why: str
+    name: str, content: bytes, command_range: Floats, prior: Mapping[str, object], why: str
 ) -> tuple[Arrays, dict[str, Any]]:
     """Return the arrays of a table of a graph that only onnxruntime runs, and a description of it.
 

@@ -220,8 +220,8 @@ def converted(model: Model | None, run: Run) -> Run:
     """Return the run with its ticks as commands, by the calibration of the model; unchanged if either is missing.
 
     Args:
-        model: with a `calibration`; or without, then that of the loop that drove the robot counts, if the run holds
-            it; or in ticks, which it takes as commands.
+        model: with a `calibration`; without one, or if None, that of the loop that drove the robot counts,
+            if the run holds it; or in ticks, which it takes as commands.
         run: `ticks` become `command`, `present_ticks` become `present` unless the run has that; the measured points are
             the same array.
 
@@ -318,7 +318,7 @@ def _driven(run: Run, drive: Run) -> Run:
     return whole
 
 
-def _numbers(name: str, value: Any) -> Floats:
+def _numbers(name: str, value: object) -> Floats:
     """Return finite numbers of a plausible size."""
     array = np.asarray(value)
     if array.dtype.kind not in "fiu":

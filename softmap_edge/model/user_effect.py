@@ -139,7 +139,7 @@ def hashes(names: Sequence[str]) -> dict[str, str]:
     return {name: _LOADED[name].sha256 for name in names if name in _LOADED}
 
 
-def check_hashes(names: Sequence[str], fitted: Any) -> None:
+def check_hashes(names: Sequence[str], fitted: object) -> None:
     """Refuse to take numbers of effects that were fitted with other files (`hashes` of a document) than are loaded.
 
     Raises:
@@ -217,7 +217,7 @@ def _execute(file: Path, source: bytes) -> ModuleType:
     return module
 
 
-def _declaration(where: str, given: Any) -> dict[str, Any]:
+def _declaration(where: str, given: object) -> dict[str, Any]:
     """Return the declaration that a file gives, whole and of the right kinds."""
     if not isinstance(given, dict):
         raise EffectError(f"{where}: EFFECT is missing or no table; `softmap effects new NAME` writes the form")
@@ -246,7 +246,7 @@ def _declaration(where: str, given: Any) -> dict[str, Any]:
     return found
 
 
-def _parameter(where: str, given: Any) -> dict[str, Any]:
+def _parameter(where: str, given: object) -> dict[str, Any]:
     if not isinstance(given, dict):
         raise EffectError(f"{where}: a parameter is {type(given).__name__}, expected a table with name, unit, null, …")
     wanted = ("name", "unit", *_NUMBERS, "doc")
@@ -281,14 +281,14 @@ def _keys(where: str, what: str, given: dict[Any, Any], wanted: tuple[str, ...],
         raise EffectError(f"{where}: {what} has '{odd[0]!s:.40}'; it takes {', '.join(known)}")
 
 
-def _check_name(where: str, name: Any) -> None:
+def _check_name(where: str, name: object) -> None:
     if not isinstance(name, str) or not NAME.fullmatch(name):
         raise EffectError(
             f"{where}: the name {name!r:.60}; small letters, digits and _ are allowed, a letter first, at most 40"
         )
 
 
-def _text(where: str, key: str, value: Any) -> str:
+def _text(where: str, key: str, value: object) -> str:
     if not isinstance(value, str) or not value.isprintable() or not 1 <= len(value) <= LONGEST:
         raise EffectError(
             f"{where}: {key} is {value!r:.60}, expected one printable line of at most {LONGEST} characters"
@@ -296,7 +296,7 @@ def _text(where: str, key: str, value: Any) -> str:
     return value
 
 
-def _pair(where: str, value: Any) -> tuple[Any, float]:
+def _pair(where: str, value: object) -> tuple[Any, float]:
     if isinstance(value, list | tuple) and len(value) == 2:
         block, minutes = value
         if isinstance(minutes, int | float) and 0 < minutes < 1e4:
@@ -310,7 +310,7 @@ def _pair(where: str, value: Any) -> tuple[Any, float]:
 class _Law:
     """Ask a user's `rollout` for one record, and say in one line where it fails or gives something else."""
 
-    def __init__(self, declaration: dict[str, Any], file: Path, rollout: Callable[..., Any]) -> None:
+    def __init__(self, declaration: dict[str, Any], file: Path, rollout: Callable[..., object]) -> None:
         self._declaration, self._file, self._rollout = declaration, file, rollout
         self._head = f"the effect '{declaration['name']}' ({file.name})"
         self._tried: set[int] = set()

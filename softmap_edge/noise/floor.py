@@ -18,7 +18,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -94,7 +93,7 @@ def noise_of_points(run: Run) -> PointNoise | None:
     return replicates(conditions(run, command), np.where(visible[..., None], seen, 0.0), visible)
 
 
-def noise_of_runs(runs: Sequence[Any]) -> list[float | None]:
+def noise_of_runs(runs: Sequence[object]) -> list[float | None]:
     """Return `noise_of_points` of each run in mm, None where it is not known, for the document of a diagnosis."""
     found = [noise_of_points(run) if isinstance(run, Run) else None for run in runs]
     return [None if one is None else one.mm for one in found]

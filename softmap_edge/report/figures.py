@@ -184,7 +184,7 @@ def where_maps(before: Mapping[str, Sequence[Any]], after: Mapping[str, Sequence
         return svg(figure)
 
 
-def ladder_bars(error: Mapping[str, Any]) -> bytes:
+def ladder_bars(error: Mapping[str, object]) -> bytes:
     """Draw the held-out error as effects are added one by one, down to the floor (SVG)."""
     steps = ladder_steps(error)
     floor = error.get("floor")

@@ -1,7 +1,7 @@
-"""One self-contained HTML page about a comparison, two comparisons or a diagnosis: verdict, pictures, evidence, origin.
+"""Write one self-contained HTML page about a comparison, two comparisons or a diagnosis.
 
-The page loads nothing: pictures are inside it, there is no script, and its content policy forbids both. Whatever comes
-from a file (robot names, sentences, labels) is escaped. The pictures need matplotlib, which is an extra.
+The text is in `templates/report.html`; this file gives it figures, words and pictures. Without matplotlib the page has
+no pictures and says how to get them. Pinned by tests/report/.
 """
 
 from __future__ import annotations
@@ -18,25 +18,36 @@ from softmap_edge.comparison.in_unit import comparison_in_unit, series_in_unit
 from softmap_edge.comparison.series import Series
 from softmap_edge.comparison.text import check_pair
 from softmap_edge.diagnosis.document import VERDICTS, Diagnosis
+from softmap_edge.diagnosis.family_text import LEARNED, TITLE, family_line, findings_of, learned_line
 from softmap_edge.diagnosis.text import (
     LADDER_NOTE,
     OUTPUT_NOTE,
     STATIC_ADDED,
     again,
+    alternative_name,
     confirmed,
     ladder_steps,
     moved_by,
     parameter,
+    servo_row,
+    untestable_rows,
 )
 from softmap_edge.errors import ReportError
 from softmap_edge.files.atomic import write_atomically
 from softmap_edge.files.numbers import fall, mm, number, percent, tamed
-from softmap_edge.report.families import family_section, learned_section
-from softmap_edge.report.html_open import open_questions
-from softmap_edge.report.style import PAGE, TONES, cards, escaped, picture, section
+from softmap_edge.report.pages import Card, Picture, pictures_missing, render
 from softmap_edge.run.in_unit import PLACES, in_unit, unit_of
 
-INSTALL = "pip install 'softmap-edge[report]'"
+# The tone of a verdict's badge: good, warn, bad or calm.
+TONES = {
+    "identified": "good",
+    "ambiguous": "warn",
+    "partly_explained": "warn",
+    "nothing": "calm",
+    "cannot_tell": "calm",
+    "measurement_fault": "bad",
+}
+Rows = list[tuple[str, str]]
 
 
 @dataclass(frozen=True)
@@ -81,7 +92,7 @@ def write_html(
         Path: the file.
 
     Raises:
-        ReportError: matplotlib is not installed, nothing to show, or the comparisons are of different runs.
+        ReportError: nothing to show, or the comparisons are of different runs.
     """
     given = [comparison] if isinstance(comparison, Comparison) else list(comparison or [])
     if len(given) > 2:
@@ -106,40 +117,122 @@ def write_html(
         ways_on=on,
         unit=unit,
     )
-    figures = loaded_figures()
-    sections = [
-        _hero(story),
-        family_section(story.diagnosis or {}, story.unit),
-        learned_section(story.diagnosis or {}),
-        _loops(story),
-        _sheet(story),
-        _where(story, figures),
-        _ladder(story, figures),
-        _ways(story),
-        _effects(story),
-        open_questions(story.diagnosis or {}),
-        _time(story, figures),
-        _body(story, figures),
-        _tip(story, figures),
-        _origin(story),
-    ]
-    page = PAGE.replace("@TITLE@", escaped(_title(story))).replace("@BODY@", "\n".join(s for s in sections if s))
     target = Path(path)
-    write_atomically(target, page)
+    write_atomically(target, render("report.html", _page(story)))
     return target
 
 
-def loaded_figures() -> ModuleType:
-    """Return the module of pictures. Raises ReportError when matplotlib is not installed."""
-    try:
-        from softmap_edge.report import figures
-    except ImportError as missing:
-        if (missing.name or "").split(".")[0] != "matplotlib":
-            raise
-        raise ReportError(
-            f"the HTML report needs matplotlib: {INSTALL} (the text and --json work without it)"
-        ) from None
-    return figures
+@dataclass(frozen=True)
+class ShownParameter:
+    """A parameter of an effect as the page shows it."""
+
+    label: str
+    value: str
+    at_bound: bool
+
+
+@dataclass(frozen=True)
+class ShownEffect:
+    """An effect as the page shows it: its size in the unit of the page, fitted and held out."""
+
+    name: str
+    family: str
+    stage: str
+    parameters: list[ShownParameter]
+    lines: list[str]
+    probability: Any
+    share: Any
+    fitted: Any
+    held_out: Any
+
+
+@dataclass(frozen=True)
+class ShownFamily:
+    """A family of effects as the page shows it."""
+
+    line: str
+    share: Any
+    law_share: Any
+    moved: Any
+    alternatives: list[str]
+
+
+@dataclass(frozen=True)
+class ReportPage:
+    """What `templates/report.html` shows, from top to bottom; `install` is how to get pictures that are missing."""
+
+    title: str
+    badge: str
+    tone: str
+    heading: str
+    about: str
+    cards: list[Card]
+    unit: str
+    moved_by: str
+    install: str | None
+    families_title: str
+    families: list[ShownFamily]
+    learned_title: str
+    learned: list[str]
+    first_pictures: list[Picture]
+    ways: list[tuple[str, float]]
+    ways_on: str
+    faults: list[ShownEffect]
+    found: list[ShownEffect]
+    servos: Rows
+    alternatives: Rows
+    untestable: Rows
+    steps: Rows
+    remarks: list[str]
+    unexplained: Rows
+    last_pictures: list[Picture]
+    origin: str
+
+
+def _page(story: Story) -> ReportPage:
+    document = story.diagnosis or {}
+    verdict = str(story.diagnosis["verdict"]) if story.diagnosis else ""
+    install = pictures_missing()
+    first, last = ([], []) if install else _pictures(story)
+    return ReportPage(
+        title=_title(story),
+        badge=VERDICTS.get(verdict, verdict),
+        tone=TONES.get(verdict, "calm"),
+        heading=tamed(document.get("sentence") or "") or _sentence(story),
+        about=" · ".join(_about(story)),
+        cards=_cards(story),
+        unit=story.unit,
+        moved_by=moved_by(story.unit),
+        install=install,
+        families_title=TITLE,
+        families=[_family(row, document) for row in document.get("families") or []],
+        learned_title=LEARNED,
+        learned=[learned_line(row) for row in document.get("learned_in") or []],
+        first_pictures=first,
+        ways=[(name, value) for name, value in (story.ways or {}).items() if value is not None],
+        ways_on=story.ways_on,
+        faults=[_effect(row) for row in document.get("faults") or []],
+        found=[_effect(row) for row in document.get("effects") or []],
+        servos=[(str(name), str(text)) for name, text in map(servo_row, document.get("servo") or [])],
+        alternatives=[(alternative_name(row), tamed(row.get("why", ""))) for row in document.get("alternatives") or []],
+        untestable=[(name, f"{why} — {do}" if do else why) for name, why, do in untestable_rows(document)],
+        steps=[(str(row.get("block", "?")), _settles(row)) for row in document.get("next") or []],
+        remarks=[tamed(row) for row in document.get("remarks") or []],
+        unexplained=_unexplained(document.get("unexplained") or {}, unit_of(document.get("made_from") or {})),
+        last_pictures=last,
+        origin=_origin(story),
+    )
+
+
+def _pictures(story: Story) -> tuple[list[Picture], list[Picture]]:
+    """Return the pictures above and below the tables."""
+    from softmap_edge.report import figures
+    from softmap_edge.report.loop_figure import loop_picture
+
+    loops = None if story.series is None else loop_picture(story.series, story.unit, story.diagnosis, _short(story))
+    first = (loops, _sheet(story), _where(story, figures), _ladder(story, figures))
+    last = (_time(story, figures), _body(story, figures), _tip(story, figures))
+    return [one for one in first if one is not None], [one for one in last if one is not None]
 
 
 def _title(story: Story) -> str:
@@ -160,31 +253,15 @@ def _short(story: Story) -> str:
     return f"; {story.series.kind}" if story.series is not None and story.series.kind != "measured" else ""
 
 
-def _hero(story: Story) -> str:
-    verdict = str(story.diagnosis["verdict"]) if story.diagnosis else ""
-    badge = ""
-    if story.diagnosis:
-        tone = TONES.get(verdict, "calm")
-        badge = f'<span class="badge {tone}">{escaped(VERDICTS.get(verdict, verdict))}</span>'
-    sentence = tamed(story.diagnosis.get("sentence") or "") if story.diagnosis else ""
-    shown = cards(_cards(story))
-    about = " · ".join(_about(story))
-    return (
-        f'<header><p class="eyebrow">SOFTMAP-Edge · {escaped(_title(story))}</p>{badge}'
-        f'<h1>{escaped(sentence or _sentence(story))}</h1><p class="about">{about}</p></header>'
-        f'<div class="cards">{shown}</div>'
-    )
-
-
 def _about(story: Story) -> list[str]:
     if story.before is None:
         return []
     model = ", ".join(map(str, (story.after or story.before).bundle.get("effects") or [])) or "none"
     return [
-        f"robot {escaped(story.before.bundle.get('robot', '?'))}",
-        f"run of {escaped(story.before.run.get('robot', '?'))}, {story.before.frames} frames",
-        f"effects in the model: {escaped(model)}",
-        escaped(_kind(story)),
+        f"robot {story.before.bundle.get('robot', '?')}",
+        f"run of {story.before.run.get('robot', '?')}, {story.before.frames} frames",
+        f"effects in the model: {model}",
+        _kind(story),
     ]
 
 
@@ -204,8 +281,8 @@ def _sentence(story: Story) -> str:
     return f"The error falls from {mm(old)} to {mm(new)} {story.unit} RMS ({told})."
 
 
-def _cards(story: Story) -> list[tuple[str, str, str, str]]:
-    """(label, value, note, tone) of the figures at the top."""
+def _cards(story: Story) -> list[Card]:
+    """Return the figures at the top."""
     error = (story.diagnosis or {}).get("error") or {}
     old: Any
     new: Any
@@ -224,43 +301,37 @@ def _cards(story: Story) -> list[tuple[str, str, str, str]]:
             str(error.get("floor_kind") or "floor"),
             told,
         )
-    rows = [("error before" if new is not None else "error", f"{mm(old)} {story.unit}", f"RMS, {note}", "before")]
+    rows = [Card("error before" if new is not None else "error", f"{mm(old)} {story.unit}", f"RMS, {note}", "before")]
     if number(new) is not None and number(old) is not None:
         share = fall(old, new, floor if floor is not None and (story.floor or new > floor) else None)
-        rows.append(("error after", f"{mm(new)} {story.unit}", f"RMS, {note}", "after"))
+        rows.append(Card("error after", f"{mm(new)} {story.unit}", f"RMS, {note}", "after"))
         rows.append(
-            (
+            Card(
                 "of the removable error gone",
                 percent(share),
                 f"{percent(fall(old, new))} of the raw error; {told}",
                 "after",
             )
         )
-    rows.append(("floor", f"{mm(floor)} {story.unit}", origin, "floor"))
+    rows.append(Card("floor", f"{mm(floor)} {story.unit}", origin, "floor"))
     if story.before is not None and story.after is None:
         tip = story.before.error["tip_rms_mm"]
         most = f"{mm(story.before.error['p95_mm'])} {story.unit}"
         if story.places:
-            rows.insert(1, ("error of the tip", f"{mm(tip)} mm", f"RMS, {told}", "before"))
-        rows.insert(1 + story.places, (f"95 % of {_things(story)} within", most, told, "before"))
+            rows.insert(1, Card("error of the tip", f"{mm(tip)} mm", f"RMS, {told}", "before"))
+        rows.insert(1 + story.places, Card(f"95 % of {_things(story)} within", most, told, "before"))
     return rows
 
 
-def _time(story: Story, figures: ModuleType) -> str:
+def _time(story: Story, figures: ModuleType) -> Picture | None:
     if story.series is None or story.series.timeless:
-        return ""
-    image = picture(figures.over_time(story.series, story.unit), "RMS error of each frame over time, before and after")
-    return section(
-        "Error over time", image, f"RMS over the {_things(story)} of a frame, {escaped(story.unit)}{_short(story)}."
+        return None
+    return Picture(
+        "Error over time",
+        figures.over_time(story.series, story.unit),
+        "RMS error of each frame over time, before and after",
+        f"RMS over the {_things(story)} of a frame, {story.unit}{_short(story)}.",
     )
-
-
-def _loops(story: Story) -> str:
-    if story.series is None:
-        return ""
-    from softmap_edge.report.loop_figure import loop_section
-
-    return loop_section(story.series, story.unit, story.diagnosis, _short(story))
 
 
 def _things(story: Story) -> str:
@@ -273,115 +344,129 @@ def _noise(story: Story) -> str:
     return "the camera's noise" if story.places else "the sensor's noise"
 
 
-def _sheet(story: Story) -> str:
+def _sheet(story: Story) -> Picture | None:
     if story.series is None or not story.places:
-        return ""
+        return None
     from softmap_edge.report.sheet import sheet
 
     commands = " and every frame at its command" if story.series.command.shape[1] else ""
-    note = f"Measured poses{commands}, coloured by their error on one scale{_short(story)}."
-    return section("Where the error is", picture(sheet(story.series), "Error of poses and commands"), note)
+    return Picture(
+        "Where the error is",
+        sheet(story.series),
+        "Error of poses and commands",
+        f"Measured poses{commands}, coloured by their error on one scale{_short(story)}.",
+    )
 
 
-def _body(story: Story, figures: ModuleType) -> str:
+def _body(story: Story, figures: ModuleType) -> Picture | None:
     if story.series is None or not story.places:
-        return ""
-    image = picture(figures.body(story.series), "RMS error of each point, drawn on the body")
+        return None
     markers = story.series.triangles is None
     drawn = "markers at their mean places, axes of different scale" if markers else "shape at rest, base left"
-    note = f"RMS over all frames of each point, mm, one colour scale, {drawn}{_short(story)}."
-    return section("Error on the body", image, note)
+    return Picture(
+        "Error on the body",
+        figures.body(story.series),
+        "RMS error of each point, drawn on the body",
+        f"RMS over all frames of each point, mm, one colour scale, {drawn}{_short(story)}.",
+    )
 
 
-def _tip(story: Story, figures: ModuleType) -> str:
+def _tip(story: Story, figures: ModuleType) -> Picture | None:
     if story.series is None or not story.places:
-        return ""
-    image = picture(figures.tip_path(story.series), "Path of the tip, measured and predicted")
+        return None
     rows, t = figures.worst_stretch(story.series), story.series.t_seen
     part = "" if rows.stop - rows.start == len(t) else f", from {t[rows.start]:.0f} to {t[rows.stop - 1]:.0f} s, where "
     part += "the error before is largest (faint: the complete run, measured)" if part else ""
-    return section("Path of the tip", image, f"Tip centroid in the base frame, mm{part}{_short(story)}.")
+    return Picture(
+        "Path of the tip",
+        figures.tip_path(story.series),
+        "Path of the tip, measured and predicted",
+        f"Tip centroid in the base frame, mm{part}{_short(story)}.",
+    )
 
 
-def _ladder(story: Story, figures: ModuleType) -> str:
+def _ladder(story: Story, figures: ModuleType) -> Picture | None:
     error = (story.diagnosis or {}).get("error") or {}
     if not ladder_steps(error):
-        return ""
+        return None
     unit, on = error.get("unit", PLACES), error.get("held_out_on")
-    note = f"{escaped(error.get('kind', 'held-out rms'))}{escaped(f' on {on}' if on else '')}, {escaped(unit)}. "
-    note += f"Floor: {escaped(error.get('floor_kind', 'origin not stated'))}. "
+    note = f"{error.get('kind', 'held-out rms')}{f' on {on}' if on else ''}, {unit}. "
+    note += f"Floor: {error.get('floor_kind', 'origin not stated')}. "
     known = [("Noise floor", error.get("noise_floor")), ("Model's own held-out error", error.get("model_floor"))]
-    note += "".join(f"{name}: {mm(value)} {escaped(unit)} RMS. " for name, value in known if number(value) is not None)
+    note += "".join(f"{name}: {mm(value)} {unit} RMS. " for name, value in known if number(value) is not None)
     note += LADDER_NOTE if story.places else OUTPUT_NOTE
-    return section(
-        "What each effect removes", picture(figures.ladder_bars(error), "Error ladder down to the floor"), note
-    )
+    drawn = figures.ladder_bars(error)
+    return Picture("What each effect removes", drawn, "Error ladder down to the floor", note)
 
 
-def _ways(story: Story) -> str:
-    rows = [(name, value) for name, value in (story.ways or {}).items() if value is not None]
-    if not rows:
-        return ""
-    most = max(value for _, value in rows)
-    body = "".join(
-        f"<tr><td>{escaped(name)}</td><td>{mm(value)} {escaped(story.unit)}</td>"
-        f'<td><meter min="0" max="{most:g}" value="{value:g}"></meter></td></tr>'
-        for name, value in rows
-    )
-    note = f"RMS, on {escaped(story.ways_on)}. A residual is a function of the command; physics remembers."
-    return section("Explained in other ways", f"<table><tbody>{body}</tbody></table>", note)
-
-
-def _effects(story: Story) -> str:
-    found = story.diagnosis or {}
-    parts = []
-    for title, rows in (("Faults of the measurement", found.get("faults")), ("Effects found", found.get("effects"))):
-        if rows:
-            judged = any((row.get("displacement_mm") or {}).get("held_out") is not None for row in rows)
-            moves = f"moves {moved_by(story.unit)}, {escaped(story.unit)} RMS<br>fitted" + (
-                " / held out" if judged else ""
-            )
-            values = "parameters, fitted ± 1σ<br>ratios have no unit"
-            columns = ("effect", values, "probability<br>fitted", "share of the explained<br>error, fitted", moves)
-            head = "".join(f"<th>{name}</th>" for name in columns)
-            body = "".join(_effect_row(row, judged) for row in rows)
-            parts.append(section(title, f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"))
-    return "".join(parts)
-
-
-def _effect_row(row: Mapping[str, Any], judged: bool) -> str:
-    values = "".join(
-        f"<div><code>{escaped(label)}</code> {escaped(parameter(value))}"
-        + (' <span class="flag">at its bound</span>' if value.get("at_bound") else "")
-        + "</div>"
-        for label, value in (row.get("params") or {}).items()
-    ) + "".join(f"<div><small>{escaped(line)}</small></div>" for line in [*again(row), *confirmed(row)])
-    shift = row.get("displacement_mm") or {}
-    return (
-        f"<tr><td><b>{escaped(row.get('name', '?'))}</b><br><small>{escaped(row.get('family', '?'))} · stage "
-        f"{escaped(row.get('stage', '?'))}</small></td><td>{values}</td>"
-        f"<td>{percent(row.get('probability'))}</td><td>{percent(row.get('share'))}</td>"
-        f"<td>{mm(shift.get('fitted'))}{' / ' + mm(shift.get('held_out')) if judged else ''}</td></tr>"
-    )
-
-
-def _where(story: Story, figures: ModuleType) -> str:
+def _where(story: Story, figures: ModuleType) -> Picture | None:
     if story.before is not None:
         old: Any = story.before.to_dict()["where"]
         new: Any = story.after.to_dict()["where"] if story.after else None
         kind = _short(story)
     else:
-        maps = (story.diagnosis or {}).get("where") or {}
-        old, new, kind = (
-            maps.get("before"),
-            maps.get("after"),
-            f"; {((story.diagnosis or {}).get('error') or {}).get('kind')}",
-        )
+        document = story.diagnosis or {}
+        maps = document.get("where") or {}
+        old, new = maps.get("before"), maps.get("after")
+        kind = f"; {(document.get('error') or {}).get('kind')}"
     if not old or not any(len(rows) > 1 for rows in old.values()):
-        return ""
+        return None
     colours = "wide bars before, narrow bars after" if new else "one bar a class"
-    image = picture(figures.where_maps(old, new), "Error by condition, before and after")
-    return section("Error by condition", image, f"RMS, {escaped(story.unit)}, on one scale; {colours}{escaped(kind)}.")
+    return Picture(
+        "Error by condition",
+        figures.where_maps(old, new),
+        "Error by condition, before and after",
+        f"RMS, {story.unit}, on one scale; {colours}{kind}.",
+    )
+
+
+def _family(row: Mapping[str, Any], document: Mapping[str, Any]) -> ShownFamily:
+    return ShownFamily(
+        line=family_line(row, findings_of(document)),
+        share=row.get("share"),
+        law_share=row.get("law_share"),
+        moved=row.get("moved_mm"),
+        alternatives=[str(name) for name in row.get("alternatives") or []],
+    )
+
+
+def _effect(row: Mapping[str, Any]) -> ShownEffect:
+    size = row.get("displacement_mm") or {}
+    return ShownEffect(
+        name=row.get("name", "?"),
+        family=row.get("family", "?"),
+        stage=row.get("stage", "?"),
+        parameters=[
+            ShownParameter(label, parameter(value), bool(value.get("at_bound")))
+            for label, value in (row.get("params") or {}).items()
+        ],
+        lines=[*again(row), *confirmed(row)],
+        probability=row.get("probability"),
+        share=row.get("share"),
+        fitted=size.get("fitted"),
+        held_out=size.get("held_out"),
+    )
+
+
+def _settles(row: Mapping[str, object]) -> str:
+    settles, apart = row.get("settles"), number(row.get("separation"))
+    named = ", ".join(map(str, settles)) if isinstance(settles, (list, tuple)) else str(settles or "")
+    time = "" if (minutes := number(row.get("minutes"))) is None else f"{minutes:g} min: "
+    return f"{time}settles {named}" + ("" if apart is None else f"; expected separation {apart:.3g} (chi², simulated)")
+
+
+def _unexplained(left: Mapping[str, object], unit: str) -> Rows:
+    if not left:
+        return []
+    by = left.get("predicted_by")
+    named = ", ".join(map(str, by)) if isinstance(by, (list, tuple)) else str(by or "nothing that was tried")
+    chi, share = number(left.get("chi2_per_n")), number(left.get("blocked_r2"))
+    return [
+        ("size", f"{mm(left.get('rms_mm'))} {unit} RMS beyond the noise, fitted"),
+        ("against the noise", "–" if chi is None else f"chi² per number {chi:.3g} (1 is noise alone), fitted"),
+        ("predictable share", "–" if share is None else f"R² {share:.2g} on held-out blocks"),
+        ("follows", named),
+    ]
 
 
 def _origin(story: Story) -> str:
@@ -392,5 +477,4 @@ def _origin(story: Story) -> str:
         "diagnosis": (story.diagnosis or {}).get("made_from"),
     }
     known = {name: value for name, value in documents.items() if value}
-    text = json.dumps(known, indent=1, ensure_ascii=False, default=str, sort_keys=True)
-    return f"<details><summary>What made this page</summary><pre>{escaped(text)}</pre></details>"
+    return json.dumps(known, indent=1, ensure_ascii=False, default=str, sort_keys=True)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from softmap_edge.comparison.series import Loop, Series
 from softmap_edge.report.figures import AFTER, BEFORE, FAINT, INK, PALE, STYLE, WIDE, clean, svg
-from softmap_edge.report.style import escaped, picture, section
+from softmap_edge.report.pages import Picture
 from softmap_edge.run.in_unit import PLACES
 
 Floats = NDArray[np.float64]
@@ -25,27 +25,31 @@ TURN = 0.2  # of the range of a command: smaller reverse moves are no cycle
 MOST_LOOPS = 6  # of a run with many outputs or commands
 
 
-def loop_section(series: Series, unit: str, diagnosis: Mapping[str, Any] | None, kind: str) -> str:
-    """Return the part of a page with the loops: always for outputs, for a body where a family with memory was detected.
+def loop_picture(series: Series, unit: str, diagnosis: Mapping[str, Any] | None, kind: str) -> Picture | None:
+    """Return the picture of the loops: always for outputs, for a body where a family with memory was detected.
 
     Args:
-        series: of the run that the page shows.
-        unit: of its errors.
-        diagnosis: the document, or None.
-        kind: an addition to the caption.
+        series: of the run that the page shows
+        unit: of its errors
+        diagnosis: the document, or None
+        kind: an addition to the caption
     """
     body = unit == PLACES
     remembers = any(row.get("kind") == "memory" for row in (diagnosis or {}).get("families") or [])
     if not series.loops or (body and not remembers):
-        return ""
+        return None
     what = "Tip" if body else "Output"
-    image = picture(loops(series, unit), f"{what} against command, measured and predicted")
-    note = f"The cycle with the largest error before, {escaped(unit)} (faint: all measurements)"
+    note = f"The cycle with the largest error before, {unit} (faint: all measurements)"
     if body:
         note += (
             ". The tip's displacement along the direction in which the command moves it; 0 is where it is at command 0"
         )
-    return section(f"{what} against command: the loop", image, f"{note}{kind}.")
+    return Picture(
+        f"{what} against command: the loop",
+        loops(series, unit),
+        f"{what} against command, measured and predicted",
+        f"{note}{kind}.",
+    )
 
 
 def loops(series: Series, unit: str) -> bytes:

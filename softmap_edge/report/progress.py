@@ -9,7 +9,7 @@ from softmap_edge.diagnosis.text import alternative_name
 from softmap_edge.files.numbers import folded
 
 
-def progress_lines(before: Mapping[str, Any] | None, after: Mapping[str, Any]) -> list[str]:
+def progress_lines(before: Mapping[str, object] | None, after: Mapping[str, object]) -> list[str]:
     """Return the questions that were open and those that still are, for a terminal.
 
     Args:

@@ -74,7 +74,7 @@ def _own(runs: Sequence[Run]) -> NDArray[Any] | None:
     return np.concatenate(blocks if same else [block.astype(str) for block in blocks])
 
 
-def _named(number: int, own: NDArray[Any] | None, parts: NDArray[np.bool_]) -> list[str]:
+def _named(number: int, own: NDArray[np.generic] | None, parts: NDArray[np.bool_]) -> list[str]:
     """Return the labels of one recording in a joined run."""
     head = [str(number)] * len(parts) if own is None else [f"{number}:{label}" for label in own.tolist()]
     counts: dict[str, int] = {}

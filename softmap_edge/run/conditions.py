@@ -131,7 +131,7 @@ def cells(state: Conditions, unit: str = "mm") -> dict[str, list[Cell]]:
     return {name: [cell for cell in row if cell.frames.any()] for name, row in found.items()}
 
 
-def _uncommanded(run: Any, t: Floats, seen: Floats) -> Conditions:
+def _uncommanded(run: object, t: Floats, seen: Floats) -> Conditions:
     count, zero = len(seen), np.zeros(len(seen))
     return Conditions(
         command=np.zeros((count, 0)),
@@ -152,7 +152,7 @@ def _sample(at: Floats, t: Floats, values: Floats) -> Floats:
     return np.stack([np.interp(at, t, column) for column in values.T], axis=1)
 
 
-def _at_seen(run: Any, name: str, t: Floats, seen: Floats, width: int) -> Floats | None:
+def _at_seen(run: object, name: str, t: Floats, seen: Floats, width: int) -> Floats | None:
     """A declared field at the seen frames: (K, 3) for a vector, (K,) (mean over channels) for a number."""
     raw = getattr(run, name, None)
     if raw is None:

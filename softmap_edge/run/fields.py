@@ -76,7 +76,7 @@ _TICK = 1e-9  # s: no clock of ours is finer
 _SAMPLE = 200_000  # values looked at for the extent: enough for any file, quick for the largest
 
 
-def convert(name: str, value: Any) -> NDArray[Any]:
+def convert(name: str, value: object) -> NDArray[Any]:
     """Return a read-only copy of `value` in the type of field `name`.
 
     Raises:
@@ -108,13 +108,13 @@ def convert(name: str, value: Any) -> NDArray[Any]:
     return frozen(np.array(array, np.float64, order="C"))
 
 
-def frozen(array: NDArray[Any]) -> NDArray[Any]:
+def frozen(array: NDArray[np.generic]) -> NDArray[Any]:
     """Return an array that nobody can change by mistake."""
     array.setflags(write=False)
     return array
 
 
-def text(name: str, value: NDArray[Any]) -> str:
+def text(name: str, value: NDArray[np.generic]) -> str:
     """Return a stored 0-d text field.
 
     Raises:
@@ -202,7 +202,7 @@ def _sizes(run: Run) -> dict[str, tuple[int, str]]:
     return sizes
 
 
-def _shape(name: str, value: NDArray[Any], axes: str, sizes: dict[str, tuple[int, str]]) -> None:
+def _shape(name: str, value: NDArray[np.generic], axes: str, sizes: dict[str, tuple[int, str]]) -> None:
     if name == "sigma" and value.ndim == 0:
         return
     if name == "gravity" and value.ndim == 1:
@@ -225,7 +225,7 @@ def _shape(name: str, value: NDArray[Any], axes: str, sizes: dict[str, tuple[int
     raise RunError(f"{name}: shape {value.shape}, {expected}{hint}; change the array or its time column")
 
 
-def _values(name: str, value: NDArray[Any], run: Run) -> None:
+def _values(name: str, value: NDArray[np.generic], run: Run) -> None:
     if value.dtype.kind != "f" and name not in RANGES:
         return
     if value.dtype.kind == "f":

@@ -53,7 +53,7 @@ def _time(run: Run) -> str:
     return "rows without time" if run.timeless else "seconds"
 
 
-def _text(value: Any) -> str:
+def _text(value: object) -> str:
     """Return a value as a message prints it."""
     return ", ".join(value[:6]) + ", …" * (len(value) > 6) if isinstance(value, list) else str(value)
 

@@ -11,7 +11,6 @@ Units: s. Pinned by tests/diagnosis/test_fit.py, tests/diagnosis/test_certificat
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,7 +31,9 @@ MOST_BLOCKS, GAPS_A_BLOCK = 25, 5  # a block is at least so many gaps long, so t
 LEAST_WITHHOLDING = 60  # frames of a run from which blocks are withheld
 
 
-def folds(t: Floats, blocks: int, gap_s: float, labels: NDArray[Any] | None = None, most: int = MOST_FOLDS) -> Folds:
+def folds(
+    t: Floats, blocks: int, gap_s: float, labels: NDArray[np.generic] | None = None, most: int = MOST_FOLDS
+) -> Folds:
     """Cut frames at `t` (n,) s into folds; each is predicted from the frames over `gap_s` away from all of it.
 
     Without `labels` (n,) a fold is a block of time. With them it is whole labels, dealt out in turn to at most `most`
@@ -59,7 +60,7 @@ def folds(t: Floats, blocks: int, gap_s: float, labels: NDArray[Any] | None = No
     return parts
 
 
-def run_folds(t_seen: Floats, labels: NDArray[Any] | None = None) -> Folds:
+def run_folds(t_seen: Floats, labels: NDArray[np.generic] | None = None) -> Folds:
     """Return (train, test) frame indices of a diagnosis: by label where there are 16 or more, else by blocks of time.
 
     Args:
@@ -82,7 +83,7 @@ def run_folds(t_seen: Floats, labels: NDArray[Any] | None = None) -> Folds:
     return found
 
 
-def without_gap(t_seen: Floats, labels: NDArray[Any] | None = None) -> tuple[int, int]:
+def without_gap(t_seen: Floats, labels: NDArray[np.generic] | None = None) -> tuple[int, int]:
     """Count the folds of a diagnosis that have no gap next to them, because blocks are shorter than the gap.
 
     Args:
@@ -99,7 +100,7 @@ def without_gap(t_seen: Floats, labels: NDArray[Any] | None = None) -> tuple[int
     return sum(bare), len(bare)
 
 
-def labelled(labels: NDArray[Any] | None) -> bool:
+def labelled(labels: NDArray[np.generic] | None) -> bool:
     """Whether frames have labels enough for a diagnosis to hold them out whole."""
     if labels is None:
         return False
@@ -117,7 +118,7 @@ class Withheld:
     reason: str = ""  # why nothing is withheld
 
 
-def withheld(t_seen: Floats, labels: NDArray[Any] | None, begins: Index) -> Withheld:
+def withheld(t_seen: Floats, labels: NDArray[np.generic] | None, begins: Index) -> Withheld:
     """Withhold every fifth block of a run, of time or of labels as in `run_folds`.
 
     Noise is correlated over short times, so frames within a gap of a withheld block choose nothing either.

@@ -25,7 +25,7 @@ def output_of(made_from: Mapping[str, Any]) -> Output | None:
     return None if document is None else Output.from_dict(document)
 
 
-def unit_of(made_from: Mapping[str, Any]) -> str:
+def unit_of(made_from: Mapping[str, object]) -> str:
     """Return the unit of the figures of a document after `in_unit` or `comparison_in_unit`."""
     output = output_of(made_from)
     return PLACES if output is None else output.unit
@@ -59,7 +59,7 @@ def in_unit(document: Mapping[str, Any]) -> dict[str, Any]:
     return found | {"error": error | {"unit": output.unit}, "where": where}
 
 
-def renamed_maps(maps: Mapping[str, Any]) -> dict[str, Any]:
+def renamed_maps(maps: Mapping[str, object]) -> dict[str, Any]:
     """Return maps of the error with one entry for each output in place of the sections of a body."""
     return {"output" if name == "section" else name: rows for name, rows in maps.items()}
 
@@ -67,7 +67,7 @@ def renamed_maps(maps: Mapping[str, Any]) -> dict[str, Any]:
 _PLAIN = ("frames", "folds", "numbers")  # entries of `error` that are no lengths
 
 
-def lengths_in_unit(value: Any, output: Output, key: str = "") -> Any:
+def lengths_in_unit(value: object, output: Output, key: str = "") -> Any:
     """Return a part of a document with its lengths and sentences converted; fitted numbers keep their unit."""
     if key in ("params", "refitted", "made_from", "servo"):
         return value

@@ -114,7 +114,7 @@ def output_of(values: ArrayLike, unit: str, names: tuple[str, ...] = ()) -> Outp
     return Output(names or tuple(f"output {q + 1}" for q in range(rows.shape[1])), unit, scale)
 
 
-def acts_on_outputs(effect: Mapping[str, Any]) -> bool:
+def acts_on_outputs(effect: Mapping[str, object]) -> bool:
     """Return whether an effect of the registry can act on outputs: on the command, or on the clock.
 
     Loads, shapes, obstacles and camera frames belong to a body.

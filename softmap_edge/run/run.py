@@ -103,7 +103,7 @@ class _Load:
     def __get__(self, run: Run | None, owner: type[Run]) -> Callable[..., Run] | Array | None:
         return _load if run is None else run.__dict__["load"]
 
-    def __set__(self, run: Run, value: Any) -> None:
+    def __set__(self, run: Run, value: object) -> None:
         run.__dict__["load"] = None if value is _load else value  # the default is the reader itself
 
 

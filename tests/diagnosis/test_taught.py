@@ -14,9 +14,10 @@ from recorded_arms import arc, recorded, wander
 
 from softmap_edge import Run, diagnose, learn_model, load_bundle, save_bundle
 from softmap_edge.diagnosis.document import Diagnosis
+from softmap_edge.diagnosis.family_text import LEARNED
 from softmap_edge.diagnosis.taught import TaughtRuns, with_unknown
 from softmap_edge.errors import ReportError
-from softmap_edge.report.families import learned_section
+from softmap_edge.report.html import write_html
 from softmap_edge.rod.learn import learn, learned_model
 from softmap_edge.run.cut import cut
 from softmap_edge.run.join import join_runs
@@ -122,10 +123,11 @@ def test_the_document_keeps_what_was_learned_in_and_an_earlier_one_reads_without
         Diagnosis.from_dict(document)
 
 
-def test_the_page_shows_it_with_what_a_file_says_escaped(same):
+def test_the_page_shows_it_with_what_a_file_says_escaped(same, tmp_path):
     evil = replace(same, learned_in=(replace(same.learned_in[0], name="<script>"),))
-    page = learned_section(evil.to_dict())
-    assert "&lt;script&gt;" in page and "<script>" not in page and learned_section({}) == ""
+    page = write_html(tmp_path / "p.html", diagnosis=evil).read_text()
+    assert LEARNED in page and "&lt;script&gt;" in page and "<script>" not in page
+    assert LEARNED not in write_html(tmp_path / "p.html", diagnosis=replace(same, learned_in=())).read_text()
 
 
 def test_a_described_rod_shows_static_effects_in_the_run_that_taught_it():
@@ -175,7 +177,9 @@ def test_a_memory_without_a_law_is_kept_with_the_model_and_reported_if_a_run_sho
     assert with_unknown(model, other, TaughtRuns()) == {}  # another run may show another one
     again = with_unknown(model, other, TaughtRuns(runs=(1,)))  # the runs that taught the model cannot
     assert again["families"] == changes["families"] and "A delay." not in again["sentence"]
-    page = learned_section({"learned_in": [one.to_dict()]})
+    kept = json.loads(json.dumps(one.to_dict()))
+    document = {"schema": "softmap.diagnosis/2", "verdict": "nothing", "sentence": "", "learned_in": [kept]}
+    page = write_html(tmp_path / "p.html", diagnosis=document).read_text()
     assert f"unknown law of {one.family}, not in the model" in page
 
 

@@ -29,8 +29,6 @@ def test_the_case_is_doubted_and_its_lost_command_is_computed(tmp_path, capsys):
     assert main(["sweep", str(CASES / "kpa.toml"), "--out", str(tmp_path / "s.npz"), "--steps", "5"]) == 0
     said = capsys.readouterr().out
     assert KPA in said and "93 %" in said
-    assert main(["export", str(CASES / "kpa.toml"), "--sofa", str(tmp_path / "s.py")]) == 0
-    assert KPA in capsys.readouterr().out
 
 
 def test_what_is_lost_is_what_the_body_lacks():

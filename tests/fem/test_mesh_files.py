@@ -22,9 +22,8 @@ CASES = Path(__file__).parents[1] / "data/meshes"
 
 # --- XML -----------------------------------------------------------------------------------
 @pytest.mark.parametrize("kind", ["vtu", "vtk"])
-def test_the_case_in_xml_is_exported_and_built(kind, tmp_path, capsys):
+def test_the_case_in_xml_is_built(kind, tmp_path, capsys):
     finger = str(CASES / f"finger_{kind}.toml")
-    assert main(["export", finger, "--sofa", str(tmp_path / "s.py")]) == 0
     assert main(["build", finger, "--out", str(tmp_path / "b"), "--steps", "5"]) == 0
     assert "look at" not in capsys.readouterr().out
 
@@ -100,7 +99,6 @@ def test_the_case_of_two_materials_names_them_and_gives_one_its_own_modulus(tmp_
         shutil.copy(CASES / name, tmp_path / name)
     finger = tmp_path / "finger.toml"
     line = "look at: beam.msh names 2 groups of cells; silicone (20 cells), hard_tip (22 cells) get young_mpa = 0.4"
-    assert main(["export", str(finger), "--sofa", str(tmp_path / "s.py")]) == 0 and line in capsys.readouterr().out
     assert main(["build", str(finger), "--out", str(tmp_path / "b"), "--steps", "5"]) == 0
     assert line in capsys.readouterr().out
     finger.write_text(finger.read_text() + '[[region]]\nname = "hard_tip"\nyoung_mpa = 4.0\n')

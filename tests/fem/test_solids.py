@@ -1,22 +1,17 @@
 """A finger of any shape: blocks, regions, helices, tensions and meshes made elsewhere; bad ones get one clear line."""
 
-import ast
-import json
-
 import meshio
 import numpy as np
 import pytest
 from small_solids import BLOCK, SIZE, mesh_finger, sag, tetrahedra
 
 from softmap_edge import Run, _core, builtin_model, load_bundle
-from softmap_edge.cli import main
 from softmap_edge.errors import FingerError, RunError, SoftmapError
 from softmap_edge.fem.bodies import Block, Meshed
 from softmap_edge.fem.build import build_model
 from softmap_edge.fem.finger import Finger, Region, Tendon
 from softmap_edge.fem.mesh_file import read_mesh
 from softmap_edge.fem.simulator import Simulator, Sweep
-from softmap_edge.fem.sofa import sofa_scene
 from softmap_edge.model.bundle import save_bundle
 from softmap_edge.sweep.summary import read_summary
 
@@ -284,46 +279,3 @@ def test_damaged_meshes_and_guides_give_errors_never_a_crash(tmp_path):
         with pytest.raises(FingerError):
             toml = (tmp_path / "finger.toml").read_text() + '[[tendon]]\npoints_file = "cable.json"\n'
             Finger.from_toml(toml + TENDONS[: TENDONS.index("[[tendon]]")], tmp_path)
-
-
-class Node:
-    """What a scene builds, written down."""
-
-    def __init__(self, name="root"):
-        self.name, self.children, self.objects = name, [], []
-
-    def addChild(self, name):
-        self.children.append(Node(name))
-        return self.children[-1]
-
-    def addObject(self, kind, **options):
-        self.objects.append((kind, options))
-
-
-@pytest.mark.parametrize("kind", ["builtin", "mesh"])
-def test_the_sofa_scene_holds_the_same_finger_and_says_that_it_was_not_run(kind, tmp_path, capsys):
-    if kind == "builtin":
-        assert main(["export", "--sofa", str(tmp_path / "scene.py"), "--json"]) == 0
-        assert json.loads(capsys.readouterr().out)["run_here"] is False
-        text, finger = (tmp_path / "scene.py").read_text(), Finger.builtin()
-    else:
-        finger = mesh_finger(tmp_path / "bar.vtk", *tetrahedra())
-        text = sofa_scene(finger)
-    tree = ast.parse(text)
-    assert "It was not run where it was written" in ast.get_docstring(tree)
-    assert not any(isinstance(node, ast.Import | ast.ImportFrom) for node in ast.walk(tree))
-    names = {}
-    exec(compile(text, "scene.py", "exec"), names)
-    root = names["createScene"](Node())
-    (body,) = root.children
-    objects = dict(body.objects)
-    mesh = finger.solid.cells([95.0])
-    cells = names["CELLS"]
-    assert np.shape(cells) == (len(mesh.cells), 8 if kind == "builtin" else 4)
-    places = np.array(names["NODES"])
-    np.testing.assert_allclose(places[np.array(cells)], mesh.nodes[mesh.cells[:, : np.shape(cells)[1]]], atol=1e-6)
-    assert (places[objects["FixedProjectiveConstraint"]["indices"], 2] <= 1e-6).all()
-    assert len(body.children) == len(finger.tendons)
-    assert objects["MeshMatrixMass"]["massDensity"] == pytest.approx(1.07e-9)
-    with pytest.raises(FingerError, match="regions"):
-        sofa_scene(finger.replace(regions=(Region(0.6, side_deg=0.0),)))

@@ -3,12 +3,13 @@
 import io
 import json
 import sys
+from types import SimpleNamespace
 
 import pytest
 
 from softmap_edge.cli import main
 from softmap_edge.files.printable import PrintableStream, one_line, printable, raw
-from softmap_edge.report.style import escaped
+from softmap_edge.report.pages import render
 
 HOSTILE = {
     "\x1b[31m": "\\u001b[31m",
@@ -62,5 +63,12 @@ def test_what_moves_the_cursor_on_purpose_goes_past_it():
     assert out.getvalue() == "\rhalf" and raw(out) is out
 
 
-def test_a_page_holds_no_control_character():
-    assert escaped("<b>\x1b[1m") == "&lt;b&gt;\\u001b[1m"
+def test_a_page_shows_every_value_as_text_without_control_characters(tmp_path):
+    """Whatever a template does with a value: shown, joined, filtered, in an attribute, through a macro."""
+    (tmp_path / "t.html").write_text(
+        "{% macro m(x) %}{{ x }}{% endmacro %}{{ page.a }}|{{ [page.a, page.a] | join(' ') }}|{{ m(page.a) }}|"
+        '<i alt="{{ page.a }}">{{ page.a ~ "!" }}'
+    )
+    text = render("t.html", SimpleNamespace(a='<b onload="x">\x1b[1m'), tmp_path)
+    one = "&lt;b onload=&#34;x&#34;&gt;\\u001b[1m"
+    assert text == f'{one}|{one} {one}|{one}|<i alt="{one}">{one}!'

@@ -1,5 +1,6 @@
 """Files with the same columns, one after another in time, are parts of one log; others are not."""
 
+import datetime
 import gzip
 from pathlib import Path
 
@@ -51,6 +52,96 @@ def parts(folder, form, spans=SPANS):
         write(folder / name, head, rows(count, cut, time=time, first=first))
         for name, (first, count) in zip(names, spans)
     ]
+
+
+DAY = 86400
+MAP = """schema = "softmap.mapping/1"
+[[log]]
+file = "part_*.csv"
+time = { column = "time"%s }
+command = { columns = ["cmd_1", "cmd_2"] }
+markers = { columns = [["tip_x", "tip_y", "tip_z"]], unit = "mm" }
+"""
+
+
+def clocked(folder, text, names=("part_1.csv", "part_2.csv", "part_3.csv"), spans=SPANS):
+    """Parts of a log whose time is written by `text`, from the number of the row."""
+    head = ",".join(["time", "cmd_1", "cmd_2", "tip_x", "tip_y", "tip_z"])
+    return [
+        write(folder / name, head, rows(count, time=text, first=first)) for name, (first, count) in zip(names, spans)
+    ]
+
+
+def of_day(seconds):
+    seconds = round(seconds % DAY, 6)
+    return f"{int(seconds // 3600):02d}:{int(seconds % 3600 // 60):02d}:{seconds % 60:06.3f}"
+
+
+@pytest.mark.parametrize("midnight", [10, 20, 25, 32, 36])
+def test_times_of_day_pass_midnight_within_and_between_parts(tmp_path, midnight):
+    paths = clocked(tmp_path, lambda k: of_day(DAY + STEP * (k - midnight)))
+    found = imported(paths[::-1], MAP % "")
+    assert np.diff(found.run.t) == pytest.approx(STEP) and len(found.run.t) == 40
+    assert found.run.t[0] == pytest.approx(DAY - STEP * midnight)
+    assert any("midnight" in note for note in found.notes) and not found.doubts
+    proposed = guess_mapping(paths)
+    assert not any("missing" in said for said in proposed.said)
+
+
+def test_minutes_and_seconds_pass_the_full_hour_between_parts(tmp_path):
+    def text(k):
+        seconds = (3600 + STEP * (k - 20)) % 3600
+        return f"{int(seconds // 60):02d}:{seconds % 60:06.3f}"
+
+    found = imported(clocked(tmp_path, text), MAP % "")
+    assert np.diff(found.run.t) == pytest.approx(STEP)
+    assert any("full hour" in note for note in found.notes)
+
+
+@pytest.mark.parametrize(("turn", "unit", "start"), [(DAY, "s", DAY - 1.3), (2**32 / 1e6, "us", 2**32 / 1e6 - 1.3)])
+def test_numbers_that_roll_over_are_mended_across_parts(tmp_path, turn, unit, start):
+    scale = {"s": 1, "us": 1e6}[unit]
+    paths = clocked(tmp_path, lambda k: f"{(start + STEP * k) % turn * scale:.6f}")
+    found = imported(paths, MAP % f', unit = "{unit}", jumps = "mend"')
+    assert np.diff(found.run.t) == pytest.approx(STEP) and len(found.run.t) == 40
+    assert any("rolls over 1 times" in note for note in found.notes)
+    plain = clocked(tmp_path, lambda k: f"{(start + STEP * (k + 6)) % turn * scale:.6f}")  # between part 1 and 2
+    doubted = imported(plain, MAP % f', unit = "{unit}"')
+    assert any('time.jumps = "mend"' in doubt for doubt in doubted.doubts)
+
+
+@pytest.mark.parametrize(
+    ("order", "first", "days"),
+    [("mdy", (5, 12), (0, 1)), ("mdy", (4, 30), (0, 1)), ("dmy", (12, 5), (0, 1)), ("dmy", (30, 4), (0, 1))],
+)
+def test_all_parts_decide_the_order_of_day_and_month(tmp_path, order, first, days):
+    day, month = first if order == "dmy" else first[::-1]
+    start = datetime.datetime(2031, month, day, 23, 59, 59)
+
+    def text(k):
+        now = start + datetime.timedelta(seconds=STEP * k)
+        date = (now.day, now.month) if order == "dmy" else (now.month, now.day)
+        return f"{date[0]}/{date[1]}/{now.year} {now:%H:%M:%S.%f}"
+
+    found = imported(clocked(tmp_path, text, spans=[(0, 20), (20, 10), (30, 10)]), MAP % "")
+    assert np.diff(found.run.t) == pytest.approx(STEP, abs=1e-6)
+    assert found.run.t[0] == pytest.approx(start.replace(tzinfo=datetime.UTC).timestamp(), abs=1e-6)
+
+
+def test_parts_whose_dates_decide_nothing_are_asked_about(tmp_path):
+    dates = ["3/4/2031", "4/3/2031"]
+    paths = clocked(tmp_path, lambda k: f"{dates[k >= 20]} {of_day(STEP * k)}", spans=[(0, 20), (20, 20)])
+    with pytest.raises(RunError, match='set time.date_order = "dmy" or "mdy"'):
+        imported(paths, MAP % "")
+    spans = [np.ptp(imported(paths, MAP % f', date_order = "{order}"').run.t) for order in ("dmy", "mdy")]
+    assert spans == pytest.approx([29 * DAY + STEP * 39] * 2, abs=3 * DAY)
+
+
+def test_parts_with_dates_of_no_common_order_are_refused(tmp_path):
+    dates = ["13/4/2031", "4/14/2031"]
+    paths = clocked(tmp_path, lambda k: f"{dates[k >= 20]} {of_day(STEP * k)}", spans=[(0, 20), (20, 20)])
+    with pytest.raises(RunError, match="neither all day/month/year nor all month/day/year"):
+        imported(paths, MAP % "")
 
 
 def imported(paths, text):

@@ -196,10 +196,10 @@ def test_the_verb_writes_a_run_and_says_what_it_did(tmp_path, capsys):
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
-        ("schema", "scheme", ["schema ''", "softmap.mapping/1"]),
+        ("schema", "scheme", ["no key 'scheme'", "did you mean 'schema'?"]),
         ("mapping/1", "mapping/2", ["softmap.mapping/2", "expected 'softmap.mapping/1'"]),
         ("robot =", "rowbot =", ["no key 'rowbot'", "robot"]),
-        ("[[log]]", "[log]", ["log is dict", "expected list"]),
+        ("[[log]]", "[log]", ["log is a table", "expected a list"]),
         ('{ column = "t" }', "{ }", ["needs `column`, `rate_hz`"]),
         ('{ column = "t" }', "{ rate_hz = 0 }", ["rate_hz = 0", "expected"]),
         ('{ column = "t" }', "{ rate_hz = nan }", ["rate_hz = nan", "expected"]),
@@ -209,7 +209,7 @@ def test_the_verb_writes_a_run_and_says_what_it_did(tmp_path, capsys):
         ('["a", "b"]', '["a", "b"], scale = [1, 2, 3]', ["scale has shape (3,)", "(2,)"]),
         ('["x", "y", "z"]', '["x", "y"]', ["expected x, y, z of each marker"]),
         ('unit = "m"', 'unit = "inch"', ["'inch'", "expected one of mm, cm, m"]),
-        ('robot = "bench"', "robot = 7", ["robot is int", "expected text"]),
+        ('robot = "bench"', "robot = 7", ["robot is a whole number '7'", "expected text"]),
         ('robot = "bench"', "robot = ", ["is not a TOML file"]),
     ],
 )

@@ -85,14 +85,34 @@ def test_many_swaps_of_many_markers_are_undone_exactly(seed):
     t = np.arange(600) / 100
     base = rng.permutation(np.stack(np.meshgrid([0, 30.0], [0, 30.0], [40, 80.0]), -1).reshape(8, 3))
     points = base + 2 * np.sin(3 * t)[:, None, None] + 0.05 * rng.normal(size=(600, 8, 3))
-    mixed, order = points.copy(), np.arange(8)
+    mixed, order, orders = points.copy(), np.arange(8), [tuple(range(8))] * 600
     for frame in np.sort(rng.choice(np.arange(5, 595), 12, replace=False)):
         group = rng.choice(8, rng.integers(2, 5), replace=False)
         order[group] = order[np.roll(group, 1)]
         mixed[frame:] = points[frame:][:, order]
+        orders[frame:] = [tuple(order.tolist())] * (600 - frame)
     swaps = find_swaps(mixed, t, tuple("abcdefgh"))
     assert len(swaps) == 12
-    assert mend_swaps(mixed, swaps) == pytest.approx(points)
+    mended, first = mend_swaps(mixed, swaps)
+    begin = max(dict.fromkeys(orders), key=orders.count)  # what each label shows in most frames
+    assert mended == pytest.approx(points[:, list(begin)])
+    assert first == (begin == tuple(range(8)))
+
+
+@pytest.mark.parametrize(("first", "order"), [(1, (1, 0, 2)), (30, (0, 2, 1)), (120, (1, 2, 0)), (199, (1, 0, 2))])
+def test_a_log_that_begins_with_exchanged_markers_gets_the_names_of_most_frames(tmp_path, first, order):
+    t, points = chain()
+    mixed = exchanged(points, 0, first, order)
+    done = imported(tmp_path, written(t, mixed), MAP.replace('"third z"]]', '"third z"]], swaps = "mend"'))
+    assert done.run.markers == pytest.approx(points, abs=1e-6)
+    assert any("names of most of its frames" in note for note in done.notes)
+
+
+def test_of_two_halves_the_first_gives_the_names(tmp_path):
+    t, points = chain()
+    mixed = exchanged(points, 200, 400, (1, 0, 2))
+    done = imported(tmp_path, written(t, mixed), MAP.replace('"third z"]]', '"third z"]], swaps = "mend"'))
+    assert done.run.markers == pytest.approx(points, abs=1e-6)
 
 
 def test_dropouts_are_counted_by_name(tmp_path):

@@ -10,6 +10,7 @@ from softmap_edge.errors import RecordingWarning, RunError
 from softmap_edge.logs.importer import import_logs, read_mapping
 from softmap_edge.logs.readers.cdr import CdrError, parse_definition, read_message
 from softmap_edge.logs.readers.mcap_file import open_mcap, topics
+from softmap_edge.logs.readers.messages import MessageRows
 
 START = 1_700_000_000.0
 MAP = """schema = "softmap.mapping/1"
@@ -219,3 +220,25 @@ def test_hostile_messages_end_in_an_error(definition, data, words):
 def test_every_definition_of_the_tests_is_read():
     for name, text in (JOINT_STATE, POSES, TRANSFORMS):
         assert name.replace("/msg/", "/") in parse_definition(name, text)
+
+
+@pytest.mark.parametrize("field", ["time", "log_time"])
+def test_a_field_called_as_a_column_of_time_keeps_its_own_column(tmp_path, field):
+    rows = MessageRows(tmp_path / "log.mcap", "/t")
+    for k in range(5):
+        rows.add({field: 7.0 * k, "pose.x": 3.0 * k}, 100.0 + 0.1 * k)
+    columns = rows.columns()
+    values = dict(zip(columns.names, columns.numbers.T))
+    assert values["time"] == pytest.approx(100 + 0.1 * np.arange(5)) == values["log_time"]
+    assert values[f"{field} (field)"] == pytest.approx(7.0 * np.arange(5))
+    assert values["pose.x"] == pytest.approx(3.0 * np.arange(5))
+    assert any(f"'{field}' of their own" in note for note in columns.notes)
+
+
+def test_a_stamp_without_a_header_is_a_column_beside_the_time(tmp_path):
+    rows = MessageRows(tmp_path / "log.mcap", "/t")
+    for k in range(3):
+        rows.add({"stamp": 5.0 + k, "time.sec": 1.0, "x": 2.0}, 100.0 + k)
+    columns = rows.columns()
+    assert columns.names == ["time", "stamp", "time.sec", "x", "log_time"]
+    assert columns.numbers[:, 0] == pytest.approx([100.0, 101.0, 102.0])

@@ -1,7 +1,10 @@
 """A log without time: what depends on rates is not testable, and nothing is called latency."""
 
+import re
+
 import numpy as np
 import pytest
+from logs import fault, imported
 
 from softmap_edge import Run, diagnose, learn_model
 from softmap_edge.checks.summary import sentences, summary
@@ -49,3 +52,52 @@ def test_check_says_what_a_log_without_time_cannot_identify():
     lines = sentences(summary(run(2)))
     assert any("no time recorded" in line for line in lines) and any("the log has no time" in line for line in lines)
     assert not any("no time" in line for line in sentences(summary(run(2, timeless=False))))
+
+
+LOG = """schema = "softmap.mapping/1"
+[[log]]
+time = "none"
+command = { columns = ["a"] }
+present = { columns = ["p"], held = "unhold" }
+markers = { columns = [["x", "y", "z"], ["u", "v", "w"]], unit = "mm" }
+"""
+
+
+def rows(first):
+    """A log of 300 rows whose encoder is read every third row; two markers change their names at row 100."""
+    lines = [f"{first},a,p,x,y,z,u,v,w"]
+    for k in range(300):
+        one, two = [5 * np.sin(k / 20), 0.01 * k, 40.0], [9 * np.sin(k / 20), 0.02 * k, 90.0]
+        held = 4 * np.sin((k - k % 3) / 20)
+        cells = [0.04 * k, 4 * np.sin(k / 20), held, *(one + two if k < 100 else two + one)]
+        lines.append(",".join(f"{x:.5f}" for x in cells))
+    return "\n".join(lines) + "\n"
+
+
+@pytest.mark.parametrize("name", ["time", "Time [ms]", "t", "stamp", "millis"])
+def test_an_unused_column_of_time_is_named_and_no_rate_is_claimed(tmp_path, name):
+    found = imported(tmp_path, rows(name), LOG)
+    assert found.run.timeless
+    assert any(f"columns are called {name}" in doubt for doubt in found.doubts)
+    said = " ".join([*found.notes, *found.doubts])
+    assert "every 3 rows" in said and "change places at frame 100;" in said
+    assert not re.search(r"\d (ms|s|Hz)\b", said)
+    assert not any("are called" in doubt for doubt in imported(tmp_path, rows("number"), LOG).doubts)
+
+
+@pytest.mark.parametrize(
+    "keys",
+    [
+        "[seen]\nrate_hz = 10",
+        "[commands]\nrate_hz = 10",
+        "[seen]\nfrom_s = 1.0",
+        "[seen]\nto_s = 5",
+        "[seen]\nfast_ppm = 80",
+        "[seen]\nclock_step = [1, 0.2]",
+        "[blocks]\nseconds = 5",
+        "[constant]\nmarker_rest_s = [0, 1]",
+    ],
+)
+def test_keys_in_seconds_are_refused_for_a_log_without_time(tmp_path, keys):
+    table, key = keys.split("]\n")[0].lstrip("["), keys.split("\n")[1].split(" ")[0]
+    assert f"{table}.{key} in a mapping with time" in fault(tmp_path, rows("n"), LOG + keys + "\n")

@@ -1,5 +1,7 @@
 """Digits in groups of three are read where a cell is clear; an error about a comma never leads back to itself."""
 
+import re
+
 import numpy as np
 import pytest
 from bench_rows import NAMES, values
@@ -9,6 +11,7 @@ from softmap_edge.logs.guess import guess_mapping
 from softmap_edge.logs.importer import import_logs
 from softmap_edge.logs.mapping import parse_mapping
 from softmap_edge.logs.readers.thousands import grouping_of, plain
+from softmap_edge.logs.readers.typed_rows import open_typed
 
 MAP = """schema = "softmap.mapping/1"
 [[log]]
@@ -95,6 +98,80 @@ def test_the_remedy_of_an_error_leads_to_no_circle(tmp_path, cell, decimal):
             import_logs([tmp_path / "log.csv"], parse_mapping(other, tmp_path))
         else:
             assert "groups of digits" in str(fault)
+
+
+def whole_numbers(folder, mark, clock, point=""):
+    """A log of whole numbers in groups of three digits; its time is in ms, or in s with a decimal mark."""
+    lines = ["time;cmd_1;cmd_2;tip_x;tip_y;tip_z"]
+    for k in range(60):
+        time = f"{50 * k}" if clock == "ms" else f"{0.05 * k:.3f}".replace(".", point)
+        cells = [time, f"{k % 9}", f"{k % 7}", *(f"{x:,}".replace(",", mark) for x in (900 + 8 * k, 300 + k, 2000 - k))]
+        lines.append(";".join(cells))
+    (folder / "log.csv").write_text("\n".join(lines) + "\n")
+    mapping = MAP % ("cmd_1", "cmd_2", "tip_x", "tip_y", "tip_z")
+    return folder / "log.csv", mapping.replace('"time" }', f'"time", unit = "{clock}" }}')
+
+
+@pytest.mark.parametrize(("mark", "point"), [(".", ","), (",", "."), ("'", "."), ("\u202f", ",")])
+def test_whole_numbers_follow_the_decimal_mark_of_their_log(tmp_path, mark, point):
+    path, mapping = whole_numbers(tmp_path, mark, "s", point)
+    found = import_logs([path], parse_mapping(mapping, path))
+    assert found.run.markers[:, 0, 0] == pytest.approx([0.9 + 0.008 * k for k in range(60)])
+    assert any("groups of three" in note for note in found.notes)
+
+
+@pytest.mark.parametrize("mark", [".", ","])
+def test_whole_numbers_without_any_decimal_mark_are_asked_about(tmp_path, mark):
+    path, mapping = whole_numbers(tmp_path, mark, "ms")
+    with pytest.raises(RunError, match="'1.004' may be 1.004 or 1004") as fault:
+        import_logs([path], parse_mapping(mapping, path))
+    read = {}
+    for key, value in re.findall(r'(decimal = "[.,]")[^"]* to read ([\d.]+)', str(fault.value)):
+        stated = mapping.replace("[[log]]\n", f"[[log]]\n{key}\n")
+        read[float(value)] = 1000 * import_logs([path], parse_mapping(stated, path)).run.markers[13, 0, 0]
+    assert len(read) == 2 and list(read) == pytest.approx(list(read.values()))
+
+
+@pytest.mark.parametrize(("mark", "point"), [(".", ","), (",", ".")])
+def test_a_group_far_below_is_refused_by_its_line(tmp_path, mark, point):
+    lines = ["time;cmd_1;cmd_2;tip_x;tip_y;tip_z"]
+    for k in range(400):
+        x = f"1{mark}200" if k == 350 else f"{300 + k / 8:.3f}".replace(".", point)
+        lines.append(f"{0.05 * k:.2f};0.1;0.2;".replace(".", point) + f"{x};15;90")
+    (tmp_path / "log.csv").write_text("\n".join(lines) + "\n")
+    mapping = MAP % ("cmd_1", "cmd_2", "tip_x", "tip_y", "tip_z")
+    with pytest.raises(RunError, match="line 352") as fault:
+        import_logs([tmp_path / "log.csv"], parse_mapping(mapping, tmp_path))
+    key = re.search(r'decimal = "[.,]"', str(fault.value))[0]
+    stated = mapping.replace("[[log]]\n", f"[[log]]\n{key}\n")
+    run = import_logs([tmp_path / "log.csv"], parse_mapping(stated, tmp_path)).run
+    assert run.markers[350, 0, 0] == pytest.approx(1.2)
+
+
+def test_a_stated_mark_that_the_log_contradicts_is_doubted(tmp_path):
+    path, mapping = whole_numbers(tmp_path, ",", "s", ".")
+    stated = mapping.replace("[[log]]\n", '[[log]]\ndecimal = ","\n')
+    found = import_logs([path], parse_mapping(stated, path))
+    assert any("leave decimal out to read 2000" in doubt for doubt in found.doubts)
+    assert not any("decimal" in doubt for doubt in import_logs([path], parse_mapping(mapping, path)).doubts)
+
+
+def test_three_decimals_stay_decimals(tmp_path):
+    lines = ["time;cmd_1;cmd_2;tip_x;tip_y;tip_z"]
+    lines += [f"{50 * k};{k % 9};{k % 7};{20 + k / 64:.3f};{12 + k / 8:.3f};{90 + k:.3f}" for k in range(60)]
+    (tmp_path / "log.csv").write_text("\n".join(lines) + "\n")
+    mapping = MAP % ("cmd_1", "cmd_2", "tip_x", "tip_y", "tip_z")
+    mapping = mapping.replace('"time" }', '"time", unit = "ms" }').replace('"um"', '"mm"')
+    run = import_logs([tmp_path / "log.csv"], parse_mapping(mapping, tmp_path)).run
+    assert run.markers[8, 0] == pytest.approx([20.125, 13.0, 98.0])
+
+
+@pytest.mark.parametrize("cell", ["1,234.5", "1.234,5", "1'234"])
+def test_groups_in_rows_of_types_are_refused_by_their_line(tmp_path, cell):
+    rows = [f'frame,{k},{0.01 * k},0,1,0.1,0.2,"{cell if k == 3 else 0.3}",1,tip' for k in range(6)]
+    (tmp_path / "log.csv").write_text("\n".join(["info,framecount,6", *rows]) + "\n")
+    with pytest.raises(RunError, match=f"line 5: '{cell}' is not a number"):
+        open_typed(tmp_path / "log.csv")
 
 
 def test_the_rules():

@@ -9,7 +9,7 @@ from softmap_edge.errors import RunError
 from softmap_edge.logs.guess import guess_mapping
 from softmap_edge.logs.importer import import_logs
 from softmap_edge.logs.mapping import parse_mapping
-from softmap_edge.logs.readers.encoding import encoding_of, encoding_of_start
+from softmap_edge.logs.readers.encoding import encoding_of, encoding_of_start, is_cut
 
 TEXT = "\n".join([",".join(NAMES), *rows(60)]) + "\n"
 WAYS = {
@@ -21,6 +21,8 @@ WAYS = {
     "tabs and an umlaut": codecs.BOM_UTF16_LE
     + TEXT.replace(",", "\t").replace("time", "time\u00e4", 0).encode("utf-16-le"),
     "UTF-32": TEXT.encode("utf-32"),
+    "UTF-32 LE without a mark": TEXT.encode("utf-32-le"),
+    "UTF-32 BE without a mark": TEXT.encode("utf-32-be"),
     "UTF-8 with a mark": TEXT.encode("utf-8-sig"),
 }
 
@@ -42,12 +44,49 @@ def test_a_name_keeps_its_letters(tmp_path):
     assert '"Zeit \u00e4 time"' in guess_mapping([tmp_path / "log.csv"]).text
 
 
-@pytest.mark.parametrize("cut", [1, 3])
-def test_a_file_that_ends_within_a_letter_is_one_error_with_its_encoding(tmp_path, cut):
-    (tmp_path / "log.csv").write_bytes(TEXT.encode("utf-16")[:-cut])
-    with pytest.raises(RunError, match="damaged text in UTF-16") as found:
-        guess_mapping([tmp_path / "log.csv"])
-    assert "\n" not in str(found.value)
+ENDS = {
+    "UTF-16 LE": ("utf-16-le", codecs.BOM_UTF16_LE, 1),
+    "UTF-16 BE": ("utf-16-be", codecs.BOM_UTF16_BE, 1),
+    "UTF-16 LE without a mark": ("utf-16-le", b"", 1),
+    "UTF-16 BE without a mark": ("utf-16-be", b"", 1),
+    "UTF-32": ("utf-32-le", codecs.BOM_UTF32_LE, 3),
+    "UTF-32 BE without a mark": ("utf-32-be", b"", 2),
+    "UTF-8": ("utf-8", b"", 1),
+    "UTF-8 with a mark": ("utf-8", codecs.BOM_UTF8, 1),
+}
+
+
+@pytest.mark.parametrize("way", ENDS)
+@pytest.mark.parametrize("last", ["\u00e4", "\u20ac", "\U0001f916"])
+def test_a_file_that_ends_within_a_character_is_read_up_to_it(tmp_path, way, last):
+    encoding, mark, cut = ENDS[way]
+    text = TEXT.replace("time", "größe time").rstrip("\n") + last
+    (tmp_path / "log.csv").write_bytes(mark + text.encode(encoding)[:-cut])
+    found = guess_mapping([tmp_path / "log.csv"])
+    assert "größe time" in found.text
+    done = import_logs([tmp_path / "log.csv"], parse_mapping(found.text, tmp_path))
+    assert len(done.run.t) == 60 and done.run.t[-1] == pytest.approx(59 * 0.05)
+    assert any("ends within a character of line 61" in doubt for doubt in done.doubts)
+
+
+@pytest.mark.parametrize("way", ENDS)
+def test_a_row_that_was_cut_within_a_character_is_left_out_by_the_key(tmp_path, way):
+    encoding, mark, cut = ENDS[way]
+    text = TEXT[: TEXT.rindex(",")] + ",\u00e4"
+    (tmp_path / "log.csv").write_bytes(mark + text.encode(encoding)[:-cut])
+    mapping = guess_mapping([tmp_path / "log.csv"]).text
+    done = import_logs([tmp_path / "log.csv"], parse_mapping(mapping, tmp_path))
+    assert any("skip_last_rows = 1" in doubt for doubt in done.doubts)
+    mapping = mapping.replace("[[log]]\n", "[[log]]\nskip_last_rows = 1\n")
+    done = import_logs([tmp_path / "log.csv"], parse_mapping(mapping, tmp_path))
+    assert len(done.run.t) == 59 and not any("cut" in doubt for doubt in done.doubts)
+
+
+@pytest.mark.parametrize("whole", ["\u00e4", "\u20ac", "\U0001f916", "a"])
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-16", "utf-16-le", "utf-16-be", "utf-32", "utf-32-be"])
+def test_a_complete_last_character_is_no_cut(tmp_path, whole, encoding):
+    (tmp_path / "log.csv").write_bytes((TEXT + whole).encode(encoding))
+    assert not is_cut(tmp_path / "log.csv")
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,6 @@
 """The wheel that `make wheel` built: its name, weight, needs and content; and that it drives where it is alone.
 
-`make prove` builds it first; a figure on an emulated robot is what it has to do with numpy and onnxruntime alone.
+`make prove` builds it first; a figure on an emulated robot is what it has to do with its base dependencies alone.
 """
 
 import json
@@ -12,11 +12,12 @@ from pathlib import Path
 
 import pytest
 
+from softmap_edge.report.pages import TEMPLATES
 from softmap_edge.robot.teleop.page import SERVED
 
 DIST = Path(__file__).parents[2] / "dist"
 MOST = 5_000_000  # bytes
-BASE = {"numpy", "onnxruntime"}
+BASE = {"jinja2", "numpy", "onnxruntime", "tomlkit", "websockets"}
 
 pytestmark = pytest.mark.prove
 
@@ -35,7 +36,7 @@ def test_one_wheel_for_every_python_and_linux_since_glibc_2_17(wheel):
     assert wheel.stat().st_size <= MOST
 
 
-def test_it_asks_for_numpy_and_onnxruntime_alone_and_holds_what_runs(wheel):
+def test_it_asks_for_its_base_alone_and_holds_what_runs(wheel):
     with zipfile.ZipFile(wheel) as file:
         names = file.namelist()
         (metadata,) = (name for name in names if name.endswith(".dist-info/METADATA"))
@@ -44,7 +45,8 @@ def test_it_asks_for_numpy_and_onnxruntime_alone_and_holds_what_runs(wheel):
     assert always == BASE and not any("torch" in line for line in asked)
     folders = {name.split("/")[0] for name in names}
     assert {name for name in folders if ".dist-info" not in name} == {"softmap_edge"}
-    pages = {f"softmap_edge/teleop/{name}" for name, _ in SERVED.values()}
+    pages = {f"softmap_edge/robot/teleop/{name}" for name, _ in SERVED.values()}
+    pages |= {f"softmap_edge/report/templates/{file.name}" for file in TEMPLATES.iterdir()}
     assert {"softmap_edge/data/finger/manifest.json", "softmap_edge/py.typed", *pages} <= set(names)
 
 

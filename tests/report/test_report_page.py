@@ -1,7 +1,6 @@
 """The page of a report: it is whole, loads nothing, trusts nobody, and its pictures show what they should."""
 
 import copy
-import html
 import os
 import re
 import subprocess
@@ -13,8 +12,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from leaning_triangle import markers_of, record
+from markupsafe import escape
 from report_documents import DIAGNOSIS, compared, page
 
+from softmap_edge.cli import main
 from softmap_edge.comparison.comparison import compare
 from softmap_edge.comparison.series import series
 from softmap_edge.errors import ReportError
@@ -64,8 +65,8 @@ def test_a_floor_that_is_an_upper_bound_is_called_one(pair, tmp_path):
     for model, on, bound in ((worse, run, False), (bare, moving, True)):
         found, seen = compare(model, on), series(on, model)
         text = page(write_html(tmp_path / f"{bound}.html", found, None, seen))
-        assert ("the camera&#x27;s noise is at most " in text) == (b"camera noise: at most" in over_time(seen)) == bound
-        assert f"<i>noise, RMS; {html.escape(found.floor_kind)}</i>" in text
+        assert ("the camera&#39;s noise is at most " in text) == (b"camera noise: at most" in over_time(seen)) == bound
+        assert f"<i>noise, RMS; {escape(found.floor_kind)}</i>" in text
         assert ("upper bound" in text) == bound
 
 
@@ -136,21 +137,41 @@ def test_what_a_page_needs(pair, tmp_path):
         write_html(tmp_path / "p.html", [before] * 3)
 
 
-def test_without_matplotlib_text_works_and_html_says_what_to_install(tmp_path):
+def test_without_matplotlib_the_page_has_all_but_pictures_and_says_how_to_get_them(pair, tmp_path):
     code = (
         "import sys; sys.modules['matplotlib'] = None\n"
-        "from leaning_triangle import lean, triangle\n"
-        "from softmap_edge.comparison.comparison import compare\n"
+        "from report_documents import DIAGNOSIS, compared\n"
+        "from softmap_edge.comparison.series import series\n"
         "from softmap_edge.report.html import write_html\n"
-        "found = compare(lean(), triangle()); str(found); found.to_dict()\n"
-        f"write_html({str(tmp_path / 'p.html')!r}, found)\n"
+        "run, worse, better, before, after = compared()\n"
+        f"write_html({str(tmp_path / 'bare.html')!r}, [before, after], DIAGNOSIS, series(run, worse, better))\n"
     )
     here = Path(__file__).parents[1] / "support"
     environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(here), str(here.parents[1])])}
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environment)
-    assert done.returncode == 1
-    assert "pip install 'softmap-edge[report]'" in done.stderr.strip().splitlines()[-1]
-    assert not (tmp_path / "p.html").exists()
+    subprocess.run([sys.executable, "-c", code], check=True, env=environment)
+    bare = page(tmp_path / "bare.html")
+    assert bare.count("pip install &#39;softmap-edge[report]&#39;") == 1 and "data:image" not in bare
+    run, worse, better, before, after = pair
+    full = page(write_html(tmp_path / "full.html", [before, after], DIAGNOSIS, series(run, worse, better)))
+    assert "pip install" not in full
+    drawn = re.compile(r"<section><h2>[^<]*</h2>\s*<img .*?</section>|<section><h2>Pictures</h2>.*?</section>", re.S)
+    assert drawn.sub("", full).split() == drawn.sub("", bare).split()
+
+
+@pytest.mark.parametrize(
+    "argv",
+    [
+        ["track", "S", "--plan", "--picture", "{}"],
+        ["track", "--workspace", "--picture", "{}"],
+        ["calibrate", "run.npz", "--out", "b", "--plot", "{}"],
+    ],
+)
+def test_without_matplotlib_a_picture_is_refused_before_anything_is_done(argv, tmp_path, monkeypatch, capsys):
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    monkeypatch.chdir(tmp_path)
+    assert main([word.format("p.svg") for word in argv]) == 2
+    assert re.search(r"p\.svg: pictures need matplotlib; pip install .*, or leave --\w+ out", capsys.readouterr().err)
+    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize("channels", [0, 1, 2, 3])

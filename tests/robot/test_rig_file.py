@@ -14,8 +14,8 @@ from softmap_edge.errors import ServoError
 from softmap_edge.files.toml import quoted
 from softmap_edge.robot.servo.emergency import Beats, Emergency, Line
 from softmap_edge.robot.servo.models import numbered, servo_model
-from softmap_edge.robot.servo.rig import Rig, RigServo, read_rig
-from softmap_edge.robot.servo.rig_edit import noted
+from softmap_edge.robot.servo.rig import KEPT, Rig, RigServo, read_rig
+from softmap_edge.robot.servo.rig_edit import edited
 
 ODD = [
     *range(0x20),
@@ -143,21 +143,51 @@ def test_a_servo_and_provenance_are_added(tmp_path):
     assert comments(text) == comments(EDITED) and text.index("id = 7") < text.index("[made.homed]")
 
 
-@pytest.mark.parametrize(
-    "text",
-    [
-        f'schema = "softmap.rig/1"\nport = "p"\nservo = [{{id = 1, model = "{MODEL}"}}]\n',
-        f'schema = "softmap.rig/1"\nport = """\n[[servo]]\n"""\n[[servo]]\nid = 1\nmodel = "{MODEL}"\nhome = 3 # x\n',
-        f'schema = "softmap.rig/1"\nport = "p"\n[[servo]]\nid = 1\nmodel = "{MODEL}"\n[made.homed]\nat = [\n1,\n2]\n',
-        f'schema = "softmap.rig/1"\nport = "p"\nmade = {{homed = {{a = 1}}}}\n[[servo]]\nid = 1\nmodel = "{MODEL}"\n',
-    ],
-)
-def test_a_file_of_another_form_says_the_same_afterwards(tmp_path, text):
-    (tmp_path / "rig.toml").write_text(text)
+SCHEMA = 'schema = "softmap.rig/1"\n'
+MODEL_LINE = f'model = "{MODEL}"\n'
+LAYOUTS = {
+    "inline servos": f'{SCHEMA}port = "p"\nservo = [{{id = 1, model = "{MODEL}"}}] # x\n',
+    "servos over lines": f'servo = [\n  {{id = 1, model = "{MODEL}"}}, # x\n]\nport = "p"\nbaud = {BAUD}\n{SCHEMA}',
+    "text over lines": f'{SCHEMA}port = """\n[[servo]]\n"""\n[[servo]]\nid = 1\n{MODEL_LINE}home = 3 # x\n',
+    "list over lines": f'{SCHEMA}port = "p"\n[[servo]]\nid = 1\n{MODEL_LINE}[made.homed]\nat = [\n1,\n2] # x\n',
+    "inline provenance": f'{SCHEMA}port = "p"\nmade = {{homed = {{a = 1}}}} # x\n[[servo]]\nid = 1\n{MODEL_LINE}',
+    "lines of Windows": f'{SCHEMA}port = "p" # x\n[[servo]]\nid = 1 # y\n{MODEL_LINE}'.replace("\n", "\r\n"),
+}
+
+
+@pytest.mark.parametrize("text", LAYOUTS.values(), ids=LAYOUTS)
+def test_a_file_of_any_layout_keeps_it_and_its_comments(tmp_path, text):
+    (tmp_path / "rig.toml").write_text(text, newline="")
     rig = read_rig(tmp_path / "rig.toml")
     changed = replace(rig, servos=(replace(rig.servos[0], home=9),), made={"homed": {"at": [3, 4]}})
     changed.note(tmp_path / "rig.toml")
+    after = (tmp_path / "rig.toml").read_bytes().decode()
     assert read_rig(tmp_path / "rig.toml") == changed
+    assert comments(after) == comments(text)
+    assert [key for key in tomllib.loads(after) if key in tomllib.loads(text)] == list(tomllib.loads(text))
+    assert ("servo = [" in after, "made = {" in after) == ("servo = [" in text, "made = {" in text)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_damaged_layouts_that_are_still_a_rig_take_findings(tmp_path, seed):
+    """Lines repeated, moved or taken out: whatever is still read as a rig holds the findings afterwards."""
+    rng, file, taken = random.Random(seed), tmp_path / "rig.toml", 0
+    for _ in range(300):
+        lines = EDITED.splitlines(keepends=True)
+        for _ in range(rng.randint(1, 3)):
+            k = rng.randrange(len(lines))
+            lines[rng.randrange(len(lines) + 1) : 0] = rng.choice([[lines[k]], [lines.pop(k)], ["[made.x]\n"]])
+        file.write_text("".join(lines))
+        try:
+            rig = read_rig(file)
+        except ServoError:
+            continue
+        taken += 1
+        servos = (*(replace(servo, home=9) for servo in rig.servos), RigServo(77, MODEL))
+        more = replace(rig, servos=servos, made={**rig.made, "pulled": {"a b": [1, "c"]}})
+        more.note(file)
+        assert read_rig(file) == more
+    assert taken > 20
 
 
 def test_what_is_known_of_a_servo_is_looked_up_in_one_place(tmp_path, capsys):
@@ -196,7 +226,7 @@ def test_a_mistyped_key_is_refused_and_none_is_overlooked(tmp_path, wrong, said)
 
 def test_nothing_found_changes_nothing(tmp_path):
     (tmp_path / "rig.toml").write_text(EDITED)
-    assert noted(EDITED, read_rig(tmp_path / "rig.toml").to_toml()) == EDITED
+    assert edited(EDITED, read_rig(tmp_path / "rig.toml").to_toml(), KEPT) == EDITED
     (tmp_path / "rig.toml").write_text("[")
     with pytest.raises(ServoError, match="no TOML"):
         Rig("p", BAUD, (RigServo(1, MODEL),)).note(tmp_path / "rig.toml")

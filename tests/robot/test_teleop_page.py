@@ -258,9 +258,9 @@ class Late:
         self.closed = code
 
 
-def test_without_websockets_the_install_line_is_told(monkeypatch):
+def test_without_websockets_the_install_line_is_reported(monkeypatch):
     monkeypatch.setitem(sys.modules, "websockets.sync.server", None)
-    with pytest.raises(TeleopError, match="websockets is not installed; run .* --page none"):
+    with pytest.raises(TeleopError, match="not installed; run pip install websockets, or give --page none"):
         Page(0)
 
 

@@ -1,13 +1,15 @@
-"""One self-contained HTML page of `softmap evaluate`: tables beside the paper's, shapes over clouds, errors, costs.
+"""The HTML page of `softmap evaluate`: tables with the paper's figures, shapes over clouds, errors, costs.
 
-As all pages of reports: pictures are inside it, there is no script, and whatever comes from a file is escaped.
+Its text is in `templates/evaluation.html`, its frame that of all reports (`softmap_edge/report/pages.py`).
 """
 
 from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -15,13 +17,66 @@ from numpy.typing import NDArray
 
 from softmap_edge.files.atomic import write_atomically
 from softmap_edge.files.numbers import mm
-from softmap_edge.report.style import PAGE, cards, escaped, picture, section
+from softmap_edge.report.pages import Card, Picture, pictures_missing, render
 from softmap_training.evaluate import Row
 from softmap_training.evaluate_text import MEANING, PAPER, RECORDED, SIMULATED, TOLD, cell, cost, samples, there, title
 
 Document = Mapping[str, Any]
 
+TEMPLATES = Path(__file__).with_name("templates")
 OTHER = "grey: the paper's figures, of other data"
+
+
+@dataclass(frozen=True)
+class Cell:
+    """A cell of a table; `note` stands below in small letters, `grey` makes all of it small."""
+
+    text: str
+    note: str = ""
+    grey: bool = False
+
+
+@dataclass(frozen=True)
+class TableRow:
+    """A row of a table: what it is about, and its cells."""
+
+    name: str
+    cells: list[Cell]
+    note: str = ""
+    grey: bool = False
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table of the page."""
+
+    head: list[str]
+    rows: list[TableRow]
+
+
+@dataclass(frozen=True)
+class Section:
+    """A part of the page: a picture, a table or both, with a note below."""
+
+    title: str
+    note: str = ""
+    table: Table | None = None
+    picture: Picture | None = None
+
+
+@dataclass(frozen=True)
+class EvaluationPage:
+    """What `templates/evaluation.html` shows; `install` is how to get pictures that are missing."""
+
+    heading: str
+    about: str
+    cards: list[Card]
+    install: str | None
+    warnings: list[str]
+    sections: list[Section]
+    origin: str
+    title: str = "Evaluation"
+    badge: str = ""
 
 
 def write_page(
@@ -39,26 +94,37 @@ def write_page(
         document, simulated, recorded, curve: as `softmap evaluate` has them.
         t_seen: (K,) s of the recording's frames.
     """
-    from softmap_training import evaluate_figures as figures
-
-    parts = [_hero(document), _warnings(document)]
+    install = pictures_missing()
+    figures = None
+    if install is None:
+        from softmap_training import evaluate_figures as figures
+    sections: list[Section] = []
     if recorded and t_seen is not None:
-        parts += _recorded(document, recorded, curve, t_seen, figures)
+        sections += _recorded(document, recorded, curve, t_seen, figures)
     if simulated:
-        parts += _simulated(document, simulated, figures)
-    parts += [_costs(document), _origin(document)]
-    page = PAGE.replace("@TITLE@", "Evaluation").replace("@BODY@", "\n".join(part for part in parts if part))
+        sections += _simulated(document, simulated, figures)
+    seeds = document["made_from"]["seeds"]
+    page = EvaluationPage(
+        heading=_sentence(document),
+        about=f"{len(seeds)} seed{'s' * (len(seeds) > 1)} of what is fitted here; "
+        "mean ± standard deviation over frames",
+        cards=_cards(document),
+        install=install,
+        warnings=list(document["warnings"]),
+        sections=[*sections, _costs(document)],
+        origin=json.dumps(document["made_from"], indent=1, ensure_ascii=False, sort_keys=True),
+    )
     target = Path(path)
-    write_atomically(target, page)
+    write_atomically(target, render("evaluation.html", page, TEMPLATES))
     return target
 
 
-def _hero(document: Document) -> str:
+def _cards(document: Document) -> list[Card]:
     rows = []
     best = min(document["simulated"], key=lambda row: row["vertex_mm"]["mean"], default=None)
     if best is not None:
         value = f"{mm(best['vertex_mm']['mean'])} mm"
-        rows.append(("best on simulated shapes", value, f"vertex; {best['name']}", "after"))
+        rows.append(Card("best on simulated shapes", value, f"vertex; {best['name']}", "after"))
     main = _main(document)
     for row in document["falls"]:
         if row["what"] == "without residual":
@@ -66,14 +132,8 @@ def _hero(document: Document) -> str:
             label = f"{main} error with {row['name']}"
             paper = _change(row["paper_chamfer_share"])
             note = f"against {row['against']}; chamfer {_change(row['chamfer_share'])} (the paper, other data: {paper})"
-            rows.append((label, _change(share), note, "after" if share > 0 else "before"))
-    seeds = document["made_from"]["seeds"]
-    about = f"{len(seeds)} seed{'s' * (len(seeds) > 1)} of what is fitted here; mean ± standard deviation over frames"
-    return (
-        '<header><p class="eyebrow">SOFTMAP-Edge · Evaluation</p>'
-        f'<h1>{escaped(_sentence(document))}</h1><p class="about">{escaped(about)}</p></header>'
-        f'<div class="cards">{cards(rows)}</div>'
-    )
+            rows.append(Card(label, _change(share), note, "after" if share > 0 else "before"))
+    return rows
 
 
 def _sentence(document: Document) -> str:
@@ -90,19 +150,36 @@ def _main(document: Document) -> str:
     return "vertex" if any("vertex_mm" in row for row in document["recorded"]) else "surface"
 
 
-def _warnings(document: Document) -> str:
-    rows = "".join(f"<li>{escaped(text)}</li>" for text in document["warnings"])
-    return section("Look at", f"<ul>{rows}</ul>") if rows else ""
-
-
 def _recorded(
-    document: Document, rows: Sequence[Row], curve: Sequence[Row], t: NDArray[np.float64], figures: Any
-) -> list[str]:
+    document: Document,
+    rows: Sequence[Row],
+    curve: Sequence[Row],
+    t: NDArray[np.float64],
+    figures: ModuleType | None,
+) -> list[Section]:
     main = _main(document)
     paper = [(f"the paper: {said}", document["paper"]["recorded"][name]) for name, said in PAPER]
-    found = [section("Recording", _table(document["recorded"], RECORDED, title, paper), _meaning(document["recorded"]))]
+    table = _table(document["recorded"], RECORDED, title, paper)
+    found = [Section("Recording", _meaning(document["recorded"]), table)]
     if document["falls"]:
-        found.append(section("What the residual changes", _falls(document["falls"]), OTHER))
+        found.append(Section("What the residual changes", OTHER, _falls(document["falls"])))
+    errors = ("chamfer", main)
+    if figures is not None:
+        found.append(_shapes(rows, main, t, figures))
+        image = figures.over_frames(rows, errors, t)
+        found.append(_drawn("Error over frames", image, "Error of each frame over time", "Mean over the seeds, mm."))
+    if curve:
+        name, alt = "Error against the number of real samples", "Error against frames that taught"
+        picture = None if figures is None else Picture(name, figures.over_samples(curve, rows, errors), alt)
+        note = (
+            "Complete blocks of the recording that teaches, validated on the other; bars: standard deviation of seeds"
+        )
+        found.append(Section(name, note, _table(document["samples"], RECORDED, samples), picture))
+    return found
+
+
+def _shapes(rows: Sequence[Row], main: str, t: NDArray[np.float64], figures: ModuleType) -> Section:
+    """Return predicted shapes over the clouds of a typical and of the worst frame."""
     judge = next((row for row in rows if row.told["what"] == "with residual"), rows[-1])
     by = judge.errors[main].mean(axis=0)
     frames = int(np.argsort(by)[len(by) // 2]), int(by.argmax())
@@ -114,32 +191,28 @@ def _recorded(
     ]
     note = (
         f"Predicted surfaces, and the points of the cloud by their distance from them (outliers and a hole belong to "
-        f"it), their mean above. Typical and worst by {TOLD.get(main, main)} of “{escaped(judge.name)}”."
+        f"it), their mean above. Typical and worst by {TOLD.get(main, main)} of “{judge.name}”."
     )
-    found.append(section("Shapes over clouds", picture(figures.shapes_over(panels), "Shapes over clouds"), note))
-    errors = ("chamfer", main)
-    drawn = picture(figures.over_frames(rows, errors, t), "Error of each frame over time")
-    found.append(section("Error over frames", drawn, "Mean over the seeds, mm."))
-    if curve:
-        drawn = picture(figures.over_samples(curve, rows, errors), "Error against frames that taught")
-        note = (
-            "Complete blocks of the recording that teaches, validated on the other; bars: standard deviation of seeds"
-        )
-        table = _table(document["samples"], RECORDED, samples)
-        found.append(section("Error against the number of real samples", drawn + table, note))
-    return found
+    return _drawn("Shapes over clouds", figures.shapes_over(panels), "Shapes over clouds", note)
 
 
-def _simulated(document: Document, rows: Sequence[Row], figures: Any) -> list[str]:
+def _drawn(name: str, image: bytes, alt: str, note: str) -> Section:
+    return Section(name, note, picture=Picture(name, image, alt))
+
+
+def _simulated(document: Document, rows: Sequence[Row], figures: ModuleType | None) -> list[Section]:
     table = _table(document["simulated"], SIMULATED, title)
-    found = [section("Simulated shapes that taught nothing", table, f"{_meaning(document['simulated'])}; {OTHER}.")]
+    name = "Simulated shapes that taught nothing"
+    found = [Section(name, f"{_meaning(document['simulated'])}; {OTHER}.", table)]
+    if figures is None:
+        return found
     panels = []
     for row in rows:
         worst = int(row.errors["chamfer"][0].argmax())
         panels.append((f"{row.name}: {mm(float(row.errors['chamfer'][0, worst]))} mm", row, worst))
-    drawn = picture(figures.shapes_over(panels), "The worst simulated shape of each model")
+    name = "The worst simulated shape of each model"
     note = "Predicted surfaces, and the true vertices by their distance from them; above each its Chamfer distance."
-    return [*found, section("The worst simulated shape of each model", drawn, note)]
+    return [*found, _drawn(name, figures.shapes_over(panels), name, note)]
 
 
 def _meaning(rows: Sequence[Document]) -> str:
@@ -151,44 +224,35 @@ def _table(
     errors: Sequence[str],
     called: Callable[[Document], str],
     paper: Sequence[tuple[str, Document]] = (),
-) -> str:
+) -> Table:
     shown = there(rows, errors)
     body = []
     for row in rows:
-        cells = "".join(f"<td>{escaped(cell(row, error))}{_spread(row, error)}</td>" for error in shown)
-        judged = f"<br><small>{escaped(row['judged'])}</small>" if row.get("judged") else ""
-        body.append(f"<tr><td><b>{escaped(called(row))}</b>{judged}</td>{cells}</tr>")
+        cells = [Cell(cell(row, error), _spread(row, error)) for error in shown]
+        body.append(TableRow(called(row), cells, row.get("judged") or ""))
         if row.get("paper"):
             body.append(_grey("the paper, other data", row["paper"], shown))
     body += [_grey(f"{name}, other data", one, shown) for name, one in paper]
-    head = "".join(f"<th>{escaped(TOLD.get(error, error))}</th>" for error in shown)
-    head = f"<tr><th>mm, mean ± sd over frames</th>{head}</tr>"
-    return f"<table><thead>{head}</thead><tbody>{''.join(body)}</tbody></table>"
+    return Table(["mm, mean ± sd over frames", *(TOLD.get(error, error) for error in shown)], body)
 
 
 def _spread(row: Document, error: str) -> str:
     value = row.get(f"{error}_mm", {}).get("sd_of_seeds")
-    return "" if value is None else f"<br><small>± {mm(value)} over {row['seeds']} seeds</small>"
+    return "" if value is None else f"± {mm(value)} over {row['seeds']} seeds"
 
 
-def _grey(name: str, row: Document, errors: Sequence[str]) -> str:
-    cells = "".join(f"<td><small>{escaped(cell(row, error))}</small></td>" for error in errors)
-    return f"<tr><td><small>{escaped(name)}</small></td>{cells}</tr>"
+def _grey(name: str, row: Document, errors: Sequence[str]) -> TableRow:
+    return TableRow(name, [Cell(cell(row, error), grey=True) for error in errors], grey=True)
 
 
-def _falls(rows: Sequence[Document]) -> str:
+def _falls(rows: Sequence[Document]) -> Table:
     errors = [error for error in RECORDED if any(f"{error}_share" in row for row in rows)]
-    head = "".join(f"<th>{escaped(TOLD.get(error, error))}</th>" for error in (*errors, "the paper's chamfer"))
     body = []
     for row in rows:
-        shares = [row.get(f"{error}_share") for error in errors]
-        cells = "".join(f"<td>{_change(share)}</td>" for share in shares)
-        paper = f"<td><small>{_change(row['paper_chamfer_share'])}, other data</small></td>"
-        body.append(
-            f"<tr><td><b>{escaped(row['name'])}</b><br><small>against {escaped(row['against'])}</small></td>{cells}"
-            f"{paper}</tr>"
-        )
-    return f"<table><thead><tr><th></th>{head}</tr></thead><tbody>{''.join(body)}</tbody></table>"
+        paper = Cell(f"{_change(row['paper_chamfer_share'])}, other data", grey=True)
+        cells = [Cell(_change(row.get(f"{error}_share"))) for error in errors]
+        body.append(TableRow(row["name"], [*cells, paper], f"against {row['against']}"))
+    return Table(["", *(TOLD.get(error, error) for error in (*errors, "the paper's chamfer"))], body)
 
 
 def _change(share: float | None) -> str:
@@ -196,16 +260,8 @@ def _change(share: float | None) -> str:
     return "–" if share is None else f"{-100 * share:+.1f} %".replace("-", "−")
 
 
-def _costs(document: Document) -> str:
-    body = []
-    for row in {row["name"]: row for row in (*document["simulated"], *document["recorded"])}.values():
-        cells = "".join(f"<td>{escaped(text)}</td>" for text in cost(row))
-        body.append(f"<tr><td><b>{escaped(row['name'])}</b></td>{cells}</tr>")
-    head = "".join(f"<th>{text}</th>" for text in ("", "ms for one shape", "numbers", "s of training"))
-    table = f"<table><thead><tr>{head}</tr></thead><tbody>{''.join(body)}</tbody></table>"
-    return section("What it takes", table, "Median of single shapes on one core of this machine.")
-
-
-def _origin(document: Document) -> str:
-    text = json.dumps(document["made_from"], indent=1, ensure_ascii=False, sort_keys=True)
-    return f"<details><summary>What made this page</summary><pre>{escaped(text)}</pre></details>"
+def _costs(document: Document) -> Section:
+    every = {row["name"]: row for row in (*document["simulated"], *document["recorded"])}
+    body = [TableRow(name, [Cell(text) for text in cost(row)]) for name, row in every.items()]
+    table = Table(["", "ms for one shape", "numbers", "s of training"], body)
+    return Section("What it takes", "Median of single shapes on one core of this machine.", table)

@@ -73,7 +73,7 @@ def evaluate_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--epochs", type=int, help="another number of epochs for the networks that are trained here")
     parser.add_argument("--work", metavar="DIR", help="keep checkpoints there: after a kill the same line goes on")
     parser.add_argument(
-        "--html", metavar="PAGE", help="write a page of tables and pictures; needs softmap-edge[report]"
+        "--html", metavar="PAGE", help="write a page of tables and pictures; pictures need softmap-edge[report]"
     )
 
 
@@ -136,10 +136,6 @@ def _checked(args: argparse.Namespace) -> list[str]:
         if value is not None and not low <= value <= high:
             raise TrainingError(f"--{name} {value}: give {low} to {high}")
     check_file("--html", args.html, ".html")
-    if args.html is not None:
-        from softmap_edge.report.html import loaded_figures
-
-        loaded_figures()
     if asked or args.train:
         checked_torch()
     return list(asked)

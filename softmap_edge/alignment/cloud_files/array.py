@@ -55,7 +55,7 @@ def read_archive(path: Path, notes: list[str]) -> Floats:
     return _points(array, path, f"`{name:.40}`", notes)
 
 
-def _can_be_places(array: NDArray[Any]) -> bool:
+def _can_be_places(array: NDArray[np.generic]) -> bool:
     if array.dtype.names:
         return {"x", "y", "z"} <= {name.lower() for name in array.dtype.names}
     return array.dtype.kind in "fiu" and array.ndim in (2, 3) and 3 in (array.shape[-1], array.shape[0])

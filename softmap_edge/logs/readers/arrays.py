@@ -121,7 +121,7 @@ def _vector_lengths(arrays: Mapping[str, NDArray[Any]], texts: Mapping[str, list
     return {*vectors, *(len(column) for column in texts.values())}
 
 
-def _rows_first(array: NDArray[Any], usual: set[int]) -> tuple[NDArray[Any] | None, int]:
+def _rows_first(array: NDArray[np.generic], usual: set[int]) -> tuple[NDArray[Any] | None, int]:
     """Return an array with its rows along the first axis, and the axis along which they were."""
     if array.size > 1 and array.size == max(array.shape):  # a vector, whatever its shape
         return array.reshape(-1), 0
@@ -136,7 +136,7 @@ def _rows_first(array: NDArray[Any], usual: set[int]) -> tuple[NDArray[Any] | No
     return turned, axis
 
 
-def _names(name: str, array: NDArray[Any], labels: Sequence[str] | None) -> list[str]:
+def _names(name: str, array: NDArray[np.generic], labels: Sequence[str] | None) -> list[str]:
     if array.ndim == 1:
         return [name]
     if array.ndim == 2:
@@ -148,13 +148,13 @@ def _names(name: str, array: NDArray[Any], labels: Sequence[str] | None) -> list
     return [f"{name}[{i},{j}]" for i in range(array.shape[1]) for j in range(array.shape[2])]
 
 
-def _why(array: NDArray[Any]) -> str:
+def _why(array: NDArray[np.generic]) -> str:
     if array.size == 1:
         return f"one number, {float(array.reshape(-1)[0]):g}"
     return "empty" if array.size == 0 else f"an array of {_shape(array)}"
 
 
-def _shape(array: NDArray[Any]) -> str:
+def _shape(array: NDArray[np.generic]) -> str:
     return " × ".join(map(str, array.shape))
 
 

@@ -58,7 +58,7 @@ def quiet(numbers: Array) -> Array:
     return numbers
 
 
-def as_floats(values: Any) -> Array:
+def as_floats(values: object) -> Array:
     """Return numbers as float64; signalling NaNs, which damaged bytes may hold, are NaN without a warning."""
     with np.errstate(invalid="ignore"):
         return np.asarray(values, np.float64)

@@ -1,12 +1,15 @@
 """Find the encoding of a text log: UTF-8, UTF-16 and UTF-32, or Windows-1252 (latin-1) where it is clearly that.
 
-UTF-16 is recognised without a byte order mark as well: next to nearly each letter there is a zero byte, always on the
-same side. Pinned by tests/logs/test_encoding.py and tests/logs/test_wide_encoding.py.
+UTF-16 and UTF-32 are recognised without a byte order mark as well: next to nearly each letter there are zero bytes,
+always on the same side. A file that was cut within its last character is read up to it. Pinned by
+tests/logs/test_encoding.py and tests/logs/test_wide_encoding.py.
 """
 
 from __future__ import annotations
 
 import codecs
+import io
+from collections.abc import Iterator
 from functools import lru_cache
 from pathlib import Path
 
@@ -48,13 +51,13 @@ def _encoding(path: Path, changed: int, size: int) -> tuple[str, str | None]:
     with path.open("rb") as file:
         while True:
             block = file.read(_BLOCK)
+            if not block:
+                return PLAIN, None  # bytes that the decoder still holds are a character that was cut
             try:
-                decoder.decode(block, final=not block)
+                decoder.decode(block)
             except UnicodeDecodeError as fault:
                 at = max(fault.start - pending, 0)  # the decoder held some bytes back
                 return _other(path, line + block.count(b"\n", 0, at), before + at)
-            if not block:
-                return PLAIN, None
             line, before, pending = line + block.count(b"\n"), before + len(block), len(decoder.getstate()[0])
 
 
@@ -81,11 +84,58 @@ def encoding_of_start(start: bytes) -> str:
     for mark, name in _MARKS:
         if start.startswith(mark):
             return name
-    start = start[: len(start) // 2 * 2]
+    start = start[: len(start) // 4 * 4]
+    for name, zeros, letters in (
+        ("utf-32-le", start[1::4] + start[2::4] + start[3::4], start[::4]),
+        ("utf-32-be", start[::4] + start[1::4] + start[2::4], start[3::4]),
+    ):
+        if len(letters) > 3 and zeros.count(0) >= _MOST * len(zeros) and 0 not in letters:
+            return name
     for name, zeros, letters in (("utf-16-le", start[1::2], start[::2]), ("utf-16-be", start[::2], start[1::2])):
         if len(zeros) > 3 and zeros.count(0) >= _MOST * len(zeros) and 0 not in letters:
             return name
     return PLAIN
+
+
+def decoded(path: Path, encoding: str, size: int) -> Iterator[str]:
+    """Yield the text of a file up to its last complete character, in pieces, with `\\n` as its line ends.
+
+    Args:
+        path: the file. encoding: from `encoding_of`. size: bytes read at a time.
+
+    Raises:
+        OSError: the file cannot be read.
+        UnicodeDecodeError: it holds bytes that are no text in this encoding.
+    """
+    decoder = io.IncrementalNewlineDecoder(codecs.getincrementaldecoder(encoding)(), translate=True)
+    with path.open("rb") as file:
+        while block := file.read(size):
+            if text := decoder.decode(block):
+                yield text
+
+
+def is_cut(path: Path) -> bool:
+    """Return whether a text file ends within a character.
+
+    Raises:
+        OSError: the file cannot be read.
+    """
+    encoding, size = encoding_of(path)[0], path.stat().st_size
+    unit = 4 if encoding.startswith("utf-32") else 2 if encoding.startswith("utf-16") else 1
+    if size % unit:
+        return True
+    if unit == 4 or encoding not in (PLAIN, "utf-16", "utf-16-le", "utf-16-be"):
+        return False
+    with path.open("rb") as file:
+        big = encoding == "utf-16-be" or (encoding == "utf-16" and file.read(2) == codecs.BOM_UTF16_BE)
+        file.seek(max(size - 4, 0))
+        tail = file.read(4)
+    if unit == 2:
+        return len(tail) > 1 and 0xD8 <= tail[-2 if big else -1] < 0xDC  # the first half of a pair
+    for length, byte in enumerate(reversed(tail), 1):
+        if byte < 0x80 or byte >= 0xC0:
+            return byte >= 0xC0 and length < (2 if byte < 0xE0 else 3 if byte < 0xF0 else 4)
+    return False
 
 
 def is_wide(encoding: str) -> bool:

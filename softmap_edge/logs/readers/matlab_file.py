@@ -154,7 +154,7 @@ def _take_struct(name: str, value: NDArray[Any], found: _Found, depth: int) -> N
             _take(f"{here}.{key}", one[key], found, depth + 1)
 
 
-def _take_cells(name: str, value: NDArray[Any], found: _Found) -> None:
+def _take_cells(name: str, value: NDArray[np.generic], found: _Found) -> None:
     """Take cells of texts as a column of labels; leave out others."""
     cells = [_cell_text(cell) for cell in value.reshape(-1)] if value.size < MOST // 32 else [None]
     if value.size > 1 and value.size == max(value.shape) and all(cell is not None for cell in cells):
@@ -163,7 +163,7 @@ def _take_cells(name: str, value: NDArray[Any], found: _Found) -> None:
         found.leave(name, "cells")
 
 
-def _cell_text(cell: Any) -> str | None:
+def _cell_text(cell: object) -> str | None:
     if not isinstance(cell, np.ndarray) or cell.dtype.kind != "U" or cell.size > 1:
         return None
     return str(cell.reshape(-1)[0])[:200] if cell.size else ""
@@ -225,5 +225,5 @@ def _take_dataset(h5py: Any, name: str, entry: Any, found: _Found, matlab: bool)
         found.leave(name, "structs or cells" if entry.dtype.kind == "O" else "no numbers")
 
 
-def _text(value: Any) -> str:
+def _text(value: object) -> str:
     return value.decode("utf-8", "replace")[:200] if isinstance(value, bytes) else str(value)[:200]

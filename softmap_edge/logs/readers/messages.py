@@ -1,6 +1,7 @@
 """Gather decoded messages of one topic as a table: one row per message, columns by name, `time` and `log_time`.
 
-Also the errors of readers of recordings whose topic is not there, or not named.
+A field of the messages that is called `time` or `log_time` itself becomes the column `time (field)`. Also the
+errors of readers of recordings whose topic is not there, or not named.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from numpy.typing import NDArray
 from softmap_edge.errors import RunError
 from softmap_edge.logs.readers.columns import Array, HeldColumns
 
+OWN = ("time", "log_time")  # columns of every topic
 NUMBERS = 2**27  # numbers of one topic: 1 GiB
 
 
@@ -49,7 +51,9 @@ class MessageRows:
             RunError: the topic holds too many numbers.
         """
         stamp = numbers.get("header.stamp", 0.0)
-        numbers = {"time": 0.0} | numbers | {"time": stamp or logged, "log_time": logged}
+        if not numbers.keys().isdisjoint(OWN):
+            numbers = {f"{name} (field)" if name in OWN else name: value for name, value in numbers.items()}
+        numbers = {"time": stamp or logged} | numbers | {"log_time": logged}
         names = tuple(numbers)
         if names not in self.shapes:
             self.shapes[names] = np.array([self.index.setdefault(name, len(self.index)) for name in names])
@@ -66,4 +70,9 @@ class MessageRows:
             table = table[np.argsort(table[:, self.index["log_time"]], kind="stable")]
         if len(np.unique(table[:, 0])) == 1 < len(table):  # stamps that were never set
             table[:, 0] = table[:, self.index["log_time"]]
+        notes += tuple(
+            f"the messages have a field '{name}' of their own; it is the column '{name} (field)'"
+            for name in OWN
+            if f"{name} (field)" in self.index
+        )
         return HeldColumns(self.path, list(self.index), table, where="message", notes=notes)

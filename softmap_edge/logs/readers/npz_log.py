@@ -117,7 +117,7 @@ def _sort(
         left_out.append(f"{name} ({_what(array)})")
 
 
-def seconds_of(times: NDArray[Any]) -> NDArray[np.float64]:
+def seconds_of(times: NDArray[np.generic]) -> NDArray[np.float64]:
     """Return dates (since 1970) or durations of any shape in s; NaN where there is none."""
     absent = np.isnat(times)
     unit = f"{times.dtype.kind}8[ns]"
@@ -126,7 +126,7 @@ def seconds_of(times: NDArray[Any]) -> NDArray[np.float64]:
     return np.asarray(np.where(absent, np.nan, seconds.astype(np.int64) + 1e-9 * rest))
 
 
-def _texts(array: NDArray[Any]) -> list[str]:
+def _texts(array: NDArray[np.generic]) -> list[str]:
     if array.dtype.kind == "S":
         return [bytes(text).decode("utf-8", "replace") for text in array]
     points = np.ascontiguousarray(array).astype(array.dtype.newbyteorder("=")).view(np.uint32)
@@ -135,5 +135,5 @@ def _texts(array: NDArray[Any]) -> list[str]:
     return [str(text) for text in array]
 
 
-def _what(array: NDArray[Any]) -> str:
+def _what(array: NDArray[np.generic]) -> str:
     return {"c": "complex numbers", "V": "bytes"}.get(array.dtype.kind, f"text of shape {array.shape}")

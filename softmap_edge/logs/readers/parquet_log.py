@@ -133,7 +133,7 @@ class _Gathered:
             self.episode = min(self.seen)
         return np.asarray(each == self.episode)
 
-    def add(self, name: str, values: NDArray[Any] | None, keep: NDArray[np.bool_] | None) -> None:
+    def add(self, name: str, values: NDArray[np.generic] | None, keep: NDArray[np.bool_] | None) -> None:
         """Add the rows to `keep` (rows,) of the values (rows, …) of a column; None where they have no common shape.
 
         Raises:

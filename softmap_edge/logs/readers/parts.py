@@ -1,7 +1,13 @@
-"""Read several files of one log one after another: the parts of a split bag, or logs with equal mappings."""
+"""Read several files of one log one after another: the parts of a split bag, or logs with equal mappings.
+
+The order of day and month of their dates is decided by all parts together. Parts whose times of day begin again after
+midnight follow those before it. Parts of another clock that rolls over follow one another in the order of their names,
+if the mapping mends roll-overs. Pinned by tests/logs/test_csv_parts.py.
+"""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,9 +17,17 @@ import numpy as np
 from softmap_edge.errors import RunError
 from softmap_edge.files.time_digits import differing
 from softmap_edge.logs.readers.columns import Array, Cells, Columns
+from softmap_edge.logs.readers.text import TextColumns
 from softmap_edge.logs.table import place, raw_times
 from softmap_edge.logs.time_keys import Clock
-from softmap_edge.logs.time_text import TimeText
+from softmap_edge.logs.time_text import (
+    DAY,
+    ORDER_WORDS,
+    TimeText,
+    TimeTextError,
+    around_the_clock,
+    common_order,
+)
 
 
 @dataclass(frozen=True)
@@ -24,11 +38,13 @@ class JoinedColumns:
         path: the path that messages name.
         parts: each file opened, with its name.
         clock: the time that puts them in order, of one column or several.
+        notes: sentences on all parts.
     """
 
     path: Path
     parts: tuple[tuple[str, Columns], ...]
     clock: Clock
+    notes: tuple[str, ...] = ()
 
     @property
     def names(self) -> list[str]:
@@ -67,20 +83,89 @@ class JoinedColumns:
         """
         read = [self._read(columns, places, label, rows) for _, columns in self.parts]
         cells, times = [one for one, _ in read], [_known(t) for _, t in read]
-        order = sorted(range(len(times)), key=lambda k: float(times[k].min()))
-        self._apart(order, times)
+        order, turns = self._order(times)
+        times = [t + turn for t, turn in zip(times, turns)]
+        rolls = self._rolls(times)
+        notes, doubts = [*self.notes], [] if rolls else self._doubts(order)
+        if any(turns):
+            at = places.index(place(self.path, self.names, self.clock.columns[0]))
+            for one, turn in zip(cells, turns):
+                one.numbers[:, at] += turn
+            after = ", ".join(self.parts[k][0] for k in order if turns[k] > min(turns))
+            what = "midnight" if self._period == DAY else "the full hour"
+            notes.append(f"the time passes {what} and counts on in later parts: {after[:400]}")
+        listed = ", ".join(self.parts[k][0] for k in order)
+        notes.insert(
+            0, f"{len(order)} parts read one after another: {listed[:400]}{'' if rolls else _pause(order, times)}"
+        )
         cells = [cells[k] for k in order]
         labels = None if label is None else np.concatenate([np.asarray(one.labels) for one in cells])
-        notes = [_noted(self.parts[k][0], note) for k, one in zip(order, cells) for note in one.notes]
-        listed = ", ".join(self.parts[k][0] for k in order)
-        notes.insert(0, f"{len(order)} parts read one after another: {listed[:400]}{_pause(order, times)}")
+        notes += [_noted(self.parts[k][0], note) for k, one in zip(order, cells) for note in one.notes]
+        doubts += [_noted(self.parts[k][0], doubt) for k, one in zip(order, cells) for doubt in one.doubts]
         return Cells(
             np.concatenate([one.numbers for one in cells])[:rows],
             None if labels is None else labels[:rows],
             np.concatenate([one.lines for one in cells])[:rows],
             tuple(notes),
-            doubts=tuple(_noted(self.parts[k][0], doubt) for k, one in zip(order, cells) for doubt in one.doubts),
+            doubts=tuple(doubts),
         )
+
+    @property
+    def _period(self) -> float:
+        """The s after which a time of day without a date begins again; 0 of any other time."""
+        names, columns = self.names, self.clock.columns
+        clocks = [self.clocks.get(place(self.path, names, column)) for column in columns]
+        return clocks[0].period if len(clocks) == 1 and clocks[0] is not None else 0.0
+
+    def _order(self, times: Sequence[Array]) -> tuple[list[int], list[float]]:
+        """Return the order of the files, and the s to add to the times of each.
+
+        Raises:
+            RunError: two files overlap in time.
+        """
+        spans = [(float(t.min()), float(t.max())) for t in times]
+        still = [0.0] * len(times)
+        period = self._period
+        if period:
+            order, turns = around_the_clock(spans, period)
+            still = [period * turn for turn in turns]
+        elif self._rolls(times):
+            return self._by_name(), still
+        else:
+            order = sorted(range(len(times)), key=lambda k: spans[k])
+        self._apart(order, [t + turn for t, turn in zip(times, still)])
+        return order, still
+
+    def _rolls(self, times: Sequence[Array]) -> bool:
+        """Whether a clock that rolls over, as the mapping declares, runs on from file to file."""
+        if self.clock.jumps != "mend" or self._period or len({re.sub(r"\d+", "#", name) for name, _ in self.parts}) > 1:
+            return False
+        order = self._by_name()
+        falls = any((np.diff(t) < 0).any() for t in times)
+        return falls or any(times[k].max() > times[later].min() for k, later in zip(order, order[1:]))
+
+    def _by_name(self) -> list[int]:
+        """Return the order of the files by the numbers in their names."""
+        names = [name for name, _ in self.parts]
+        return sorted(range(len(names)), key=lambda k: [int(digits) for digits in re.findall(r"\d+", names[k])])
+
+    def _doubts(self, order: Sequence[int]) -> list[str]:
+        """Return a doubt if the numbers in the names show another order, and a clock that begins again explains it."""
+        named = self._by_name()
+        dated = any(place(self.path, self.names, column) in self.clocks for column in self.clock.columns)
+        turned = any([*named[k:], *named[:k]] == [*order] for k in range(1, len(named)))
+        if len({re.sub(r"\d+", "#", name) for name, _ in self.parts}) > 1 or [*order] == named:
+            return []
+        if self._period:
+            return [
+                "t: the parts follow one another by their times of day, not by their names: give dates if it is wrong"
+            ]
+        if dated or not turned:
+            return []
+        return [
+            "t: the parts follow one another by their times, not by the numbers in their names: if the clock rolled "
+            'over between two of them, set time.jumps = "mend"'
+        ]
 
     def _read(self, columns: Columns, places: list[int], label: int | None, rows: int | None) -> tuple[Cells, Array]:
         """Return the cells of some columns of one file, NaN where it has no such column, and their times (rows,) s."""
@@ -113,6 +198,35 @@ class JoinedColumns:
                     f"{end} s and begins at {begin} s), so they are no parts of one recording; import each by itself, "
                     "then join the runs with `softmap run join`"
                 )
+
+
+def joined(path: Path, parts: Sequence[tuple[str, Columns]], clock: Clock) -> JoinedColumns:
+    """Return several files as one log, whose dates have one order of day and month.
+
+    Raises:
+        RunError: the dates of all parts together do not decide it.
+    """
+    opened, notes = list(parts), list[str]()
+    for column in clock.columns:
+        dates = {
+            k: columns.both_orders(at)
+            for k, (_, columns) in enumerate(opened)
+            if isinstance(columns, TextColumns)
+            and (form := columns.clocks.get(at := place(path, columns.names, column))) is not None
+            and (form.form, form.order) == ("local", None)
+        }
+        try:
+            order = common_order([*dates.values()]) if dates else None
+        except TimeTextError as fault:
+            remedy = 'set time.date_order = "dmy" or "mdy" in the mapping'
+            raise RunError(f"{path}: column {column}: {fault.args[0]}; {remedy}") from None
+        if order is not None:
+            notes.append(f"{column}: the dates are {ORDER_WORDS[order]}, as all parts together show")
+            opened = [
+                (name, columns.dated(order) if k in dates and isinstance(columns, TextColumns) else columns)
+                for k, (name, columns) in enumerate(opened)
+            ]
+    return JoinedColumns(path, tuple(opened), clock, tuple(notes))
 
 
 def _known(times: Array) -> Array:

@@ -11,7 +11,6 @@ numbers
 from __future__ import annotations
 
 import csv
-import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import islice, takewhile
@@ -24,10 +23,10 @@ from softmap_edge.errors import RunError
 from softmap_edge.logs.readers.between import Between, without_heads
 from softmap_edge.logs.readers.cells import find_delimiter, is_number, is_plain, split
 from softmap_edge.logs.readers.columns import Array, Cells
-from softmap_edge.logs.readers.encoding import PLAIN, encoding_of, is_wide
+from softmap_edge.logs.readers.encoding import PLAIN, decoded, encoding_of, is_cut, is_wide
 from softmap_edge.logs.readers.ending import RECENT, cut_within, lines_below
 from softmap_edge.logs.readers.header import LINES, Table, find_table, widths_of
-from softmap_edge.logs.readers.thousands import grouping_of
+from softmap_edge.logs.readers.thousands import Marks, is_alike, marks_of, other_mark, unclear
 from softmap_edge.logs.readers.thousands import plain as ungrouped
 from softmap_edge.logs.readers.words import EMPTY, Words, is_text, is_word
 from softmap_edge.logs.time_text import TimeText, TimeTextError, time_text_of
@@ -62,6 +61,8 @@ class TextColumns:
     head_line: int | None = None  # the number of the line that names the columns
     head: tuple[str, ...] = ()  # the lines above the rows that hold no numbers; loggers write them again
     grouped: str | None = None  # the mark between groups of three digits
+    marks: Marks = field(default_factory=Marks)  # what the first rows show
+    stated: bool = False  # whether the mapping states the decimal mark
 
     def texts(self, rows: int) -> dict[str, list[str]]:
         """Return the columns that hold text in the first rows, with that text; times are no text."""
@@ -137,11 +138,19 @@ class TextColumns:
             *self._worded(count),
         )
         doubts = self._cut(recent, int(at[-1])) if rows is None and self.skip_last == 0 else ()
-        table, more = self._joined(np.concatenate(parts), places, {k: np.concatenate(v) for k, v in times.items()})
+        doubts += self._contradicted()
+        read = np.concatenate(parts)
+        self._unclear(read, plain, int(at[-1]) - self.first + 1)
+        table, more = self._joined(read, places, {k: np.concatenate(v) for k, v in times.items()})
         return Cells(table, found, at, (*notes, *more), doubts=doubts)
 
     def _cut(self, recent: list[str], line: int) -> tuple[str, ...]:
-        """Return a doubt if the file seems to end within its last cell."""
+        """Return a doubt if the file ends within its last cell, or seems to."""
+        if is_cut(self.path):
+            return (
+                f"the file was cut: it ends within a character of line {line}, and that row may be wrong: set "
+                "skip_last_rows = 1 to leave it out",
+            )
         last = cut_within(self.path, recent, self.delimiter)
         if last is None:
             return ()
@@ -149,6 +158,24 @@ class TextColumns:
             f"the file may be cut within its last cell: line {line} ends in '{last[:40]}' without a line end, and is "
             f"shorter there than the {len(recent) - 1} rows above: set skip_last_rows = 1 to leave the row out",
         )
+
+    def both_orders(self, place: int) -> Array:
+        """Return the seconds (rows, 2) of a column of dates, in both orders of day and month.
+
+        Raises:
+            RunError: a cell is no date.
+        """
+        cells = self.read([], place)
+        assert cells.labels is not None
+        return self._times(place, cells.labels.tolist(), cells.lines)
+
+    def dated(self, order: str) -> TextColumns:
+        """Return the same with an order of day and month for dates that have none yet."""
+        clocks = {
+            place: replace(clock, order=clock.order or order) if clock.form == "local" else clock
+            for place, clock in self.clocks.items()
+        }
+        return replace(self, clocks=clocks)
 
     def refuse_words(self, column: int) -> None:
         """Raise RunError if a column that was read, such as the time, holds a word."""
@@ -227,6 +254,8 @@ class TextColumns:
         cut, mark = len(self.names) - 1, self.delimiter
         if self.grouped == "." or "" in block or any(line.count(mark) != cut for line in block):
             return None
+        if self.decimal == "," and any("." in line and self._has_points(line, places) for line in block):
+            return None
         for attempt in range(2):
             if attempt:  # once more with empty cells as NaN
                 text = "\n" + "\n".join(block) + "\n"
@@ -241,6 +270,11 @@ class TextColumns:
                 continue
             return cells if len(cells) == len(block) else None
         return None
+
+    def _has_points(self, line: str, places: list[int]) -> bool:
+        """Whether a line of a log with decimal commas has a decimal point in one of the columns."""
+        cells = line.split(self.delimiter)
+        return any("." in cells[place] for place in places)
 
     def _slow(
         self, block: list[str], numbers: NDArray[np.int64], places: list[int], asked: list[int]
@@ -294,20 +328,64 @@ class TextColumns:
     def _number(self, cell: str, line: int, column: int) -> float:
         if cell.lower() in EMPTY:
             return np.nan
-        if self.grouped == "." and (whole := ungrouped(cell, self.grouped)) is not None:
+        other = other_mark(self.decimal)
+        odd = is_alike(cell, other) and other not in self.marks.decimals
+        mark = other if odd and self.stated else self.grouped
+        if mark is not None and mark != self.decimal and (whole := ungrouped(cell, mark)) is not None:
             return float(whole)
         plain = cell.replace(",", ".") if self.decimal == "," else cell
-        if is_plain(plain):
+        if not odd and is_plain(plain):
             return float(plain)
         if is_word(cell):
             self.words.take(cell, column, line)
             return np.nan
-        if (whole := ungrouped(cell, self.grouped)) is not None and is_plain(whole):
+        if not odd and (whole := ungrouped(cell, self.grouped)) is not None and is_plain(whole):
             return float(whole)
-        hint = ""
-        if "," in cell:
-            hint = '; set decimal = "," in the mapping' if self.decimal == "." and is_number(cell) else NO_NUMBER
-        raise RunError(f"{self.path}: line {line}, column {self.names[column]}: '{cell[:40]}' is not a number{hint}")
+        raise RunError(
+            f"{self.path}: line {line}, column {self.names[column]}: '{cell[:40]}' is not a number"
+            f"{self._remedy(cell, odd)}"
+        )
+
+    def _remedy(self, cell: str, odd: bool) -> str:
+        """Return what to do about a cell that is no number because of its commas or points; "" of any other."""
+        if odd and self.decimal in self.marks.decimals:
+            return f'; if its digits are in groups of three, set decimal = "{self.decimal}" in the mapping'
+        if "," not in cell:
+            return NO_NUMBER if odd else ""
+        comma = self.decimal == "." and "." not in self.marks.decimals and is_number(cell)
+        return '; set decimal = "," in the mapping' if comma else NO_NUMBER
+
+    def _contradicted(self) -> tuple[str, ...]:
+        """Return a doubt if the mapping states a decimal mark that only separates groups of digits in the log."""
+        other, cell = other_mark(self.decimal), self.marks.alike.get(self.decimal)
+        if not self.stated or cell is None or self.decimal in self.marks.decimals or other not in self.marks.decimals:
+            return ()
+        return (
+            f"numbers such as '{cell}' are read as {cell.replace(',', '.')}, for the mapping states decimal = "
+            f"\"{self.decimal}\", but other cells have '{other}' as their decimal mark: leave decimal out to read "
+            f"{cell.replace(self.decimal, '')}",
+        )
+
+    def _unclear(self, numbers: Array, places: Sequence[int], count: int) -> None:
+        """Raise RunError if a column (rows, columns) may hold decimals, or whole numbers in groups of three digits."""
+        if self.stated or self.decimal in self.marks.decimals or self.grouped is not None:
+            return
+        for j, place in enumerate(places):
+            known = numbers[np.isfinite(numbers[:, j]), j]
+            part = known[known != np.rint(known)]
+            if not len(part) or np.abs(known).max() >= 1000.0 or np.abs(part).min() < 1.0:
+                continue
+            if np.abs(1e3 * part - np.rint(1e3 * part)).max() > 1e-6:
+                continue
+            cells = [row[place] for row in self._first_rows(count) if len(row) > place]
+            if (cell := unclear(cells, self.decimal)) is None:
+                continue
+            small, large = cell.replace(",", "."), cell.replace(self.decimal, "")
+            raise RunError(
+                f"{self.path}: column {self.names[place]}: '{cell}' may be {small} or {large}, and no cell of the log "
+                f'shows its decimal mark: set decimal = "{self.decimal}" in the mapping to read {small}, or decimal = '
+                f'"{other_mark(self.decimal)}" to read {large}'
+            )
 
 
 # --- the head ------------------------------------------------------------------------------
@@ -363,23 +441,22 @@ def open_text(
     columns = replace(columns, units=table.units if named else {}, fewest=min(table.fewest, len(names)))
     if named and table.header is not None:
         columns = replace(columns, head_line=skip_rows + 1 + table.header)
-    if decimal is None and _decimal_commas(columns, start[first : first + 20]):
-        columns = replace(columns, decimal=",", notes=(*columns.notes, "numbers have decimal commas"))
     above = [line for line in start[:first] if any(map(str.isalpha, line)) and not _is_row(line, table)]
     columns = replace(columns, head=tuple(above[-_HEADS:]) if named else ())
-    return _grouped(columns, start[first : first + _FIRST], decimal).with_clocks(order)
+    return _marked(columns, start[first : first + _FIRST], decimal).with_clocks(order)
 
 
-def _grouped(columns: TextColumns, rows: list[str], decimal: str | None) -> TextColumns:
-    """The same columns, which read digits in groups of three if the first rows have them."""
-    cells = (cell for row in rows for cell in split(row, columns.delimiter))
-    example = next((cell for cell in cells if grouping_of(cell) is not None), None)
-    mark = None if example is None else grouping_of(example)
-    if mark is None or mark == decimal:
-        return columns
-    note = f"digits are in groups of three, such as '{example}'"
-    found = decimal or ("," if mark == "." else columns.decimal)
-    return replace(columns, grouped=mark, decimal=found, notes=(*columns.notes, note))
+def _marked(columns: TextColumns, rows: list[str], decimal: str | None) -> TextColumns:
+    """The same columns with the decimal mark and the mark between groups of digits that the first rows show."""
+    marks = marks_of(cell for row in rows for cell in split(row, columns.delimiter))
+    notes, found = list(columns.notes), decimal or "."
+    if decimal is None and "." not in marks.decimals and "," not in marks.groups:
+        found = "," if "." in marks.groups or "," in marks.decimals or [*marks.alike] == [","] else "."
+        notes += ["numbers have decimal commas"] if found == "," else []
+    known = found in marks.decimals or decimal is not None or bool(marks.groups)
+    mark, example = marks.grouped(found) or (None, "") if known else (None, "")
+    notes += [] if mark is None else [f"digits are in groups of three, such as '{example}'"]
+    return replace(columns, decimal=found, grouped=mark, marks=marks, stated=decimal is not None, notes=tuple(notes))
 
 
 def _no_names(start: list[str], table: Table, skipped: int) -> str:
@@ -403,15 +480,6 @@ def _is_row(line: str, table: Table) -> bool:
     """Return whether a line of names holds mostly numbers."""
     cells = [cell for cell in split(line, table.delimiter) if cell]
     return 2 * sum(map(is_number, cells)) > len(cells)
-
-
-def _decimal_commas(columns: TextColumns, rows: list[str]) -> bool:
-    """Whether numbers of the first rows have decimal commas and none a decimal point."""
-    if columns.delimiter == ",":
-        return False
-    cells = [cell for row in rows for cell in split(row, columns.delimiter)]
-    commas = any(re.fullmatch(r"[+-]?\d*,\d+([eE][+-]?\d+)?", cell) for cell in cells)
-    return commas and not any(re.fullmatch(r"[+-]?\d*\.\d+", cell) for cell in cells)
 
 
 # --- the lines -----------------------------------------------------------------------------
@@ -451,22 +519,19 @@ def _blocks(path: Path, first: int, stop: int | None = None) -> Iterator[tuple[i
         if path.stat().st_size > LIMIT:
             raise RunError(f"{path}: {path.stat().st_size} bytes, at most {LIMIT} are read; split the log")
         encoding = encoding_of(path)[0]
-        with path.open(encoding=encoding) as file:
-            while text := file.read(_BLOCK):
-                if "\0" in text:
-                    raise RunError(f"{path}: holds zero bytes; the file is damaged or not a CSV log")
-                lines = (rest + text).split("\n")
-                rest = lines.pop()
-                if len(rest) > LONGEST:
-                    raise RunError(
-                        f"{path}: line {number + len(lines)} is longer than {LONGEST} characters; export again"
-                    )
-                if number + len(lines) > first:
-                    end = len(lines) if stop is None else max(stop - number, 0)
-                    yield max(number, first), lines[max(first - number, 0) : end]
-                number += len(lines)
-                if stop is not None and number >= stop:
-                    return
+        for text in decoded(path, encoding, _BLOCK):
+            if "\0" in text:
+                raise RunError(f"{path}: holds zero bytes; the file is damaged or not a CSV log")
+            lines = (rest + text).split("\n")
+            rest = lines.pop()
+            if len(rest) > LONGEST:
+                raise RunError(f"{path}: line {number + len(lines)} is longer than {LONGEST} characters; export again")
+            if number + len(lines) > first:
+                end = len(lines) if stop is None else max(stop - number, 0)
+                yield max(number, first), lines[max(first - number, 0) : end]
+            number += len(lines)
+            if stop is not None and number >= stop:
+                return
     except OSError as cause:
         raise RunError(f"{path}: cannot be read ({cause.strerror or cause}); give the path of a log") from cause
     except UnicodeDecodeError as cause:

@@ -1,20 +1,90 @@
 """Read numbers whose digits are in groups of three: `25,039.0`, `25.039,0`, `1'234.5`, `1 234,5`.
 
 A cell counts if it cannot mean anything else: it has a decimal mark of another kind as well, or several commas. A cell
-such as `25,039` alone may be a decimal comma. It counts only in a log in which another cell is clear. Pinned by
-tests/logs/test_thousands.py.
+such as `25,039` alone may be a decimal comma. It counts only in a log in which other cells are clear: grouped numbers,
+or decimals with the other mark (`0.05`). A log without clear cells whose whole numbers below 1000 stand next to cells
+such as `1.003` is ambiguous: the mapping must state its `decimal`. Pinned by tests/logs/test_thousands.py.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 
 _SPACES = "'\u2019\u00a0\u202f\u2009 "
 _FORMS = {
     mark: re.compile(rf"[+-]?[1-9]\d{{0,2}}({group}\d{{3}})+({decimal}\d*)?([eE][+-]?\d+)?")
     for mark, group, decimal in ((",", ",", r"\."), (".", r"\.", ","), ("'", f"[{_SPACES}]", "[.,]"))
 }
+
+_ALIKE = {mark: re.compile(rf"[+-]?[1-9]\d{{0,2}}(\{mark}\d{{3}})+") for mark in ".,"}
+_DECIMAL = {mark: re.compile(rf"[+-]?(\d+\{mark}\d*|\{mark}\d+)([eE][+-]?\d+)?") for mark in ".,"}
+_SMALL = re.compile(r"[+-]?[1-9]\d{0,2}")
+_LEAST = 3  # different cells of either kind
+
+
+@dataclass(frozen=True)
+class Marks:
+    """What the first cells of a log show about its marks.
+
+    Attributes:
+        decimals: marks that some cell uses as its decimal mark, without doubt.
+        alike: mark → a cell such as `1.003`, which is either a decimal or has groups of three digits.
+        groups: mark → a cell that can only be a number in groups of three digits.
+    """
+
+    decimals: frozenset[str] = frozenset()
+    alike: Mapping[str, str] = field(default_factory=dict)
+    groups: Mapping[str, str] = field(default_factory=dict)
+
+    def grouped(self, decimal: str) -> tuple[str, str] | None:
+        """Return the mark between groups of digits beside this decimal mark, and a cell with it; None without any."""
+        other = other_mark(decimal)
+        if (mark := next((mark for mark in self.groups if mark != decimal), None)) is not None:
+            return mark, self.groups[mark]
+        return (other, self.alike[other]) if other in self.alike and other not in self.decimals else None
+
+
+def marks_of(cells: Iterable[str]) -> Marks:
+    """Return what cells show about the decimal mark and the groups of digits of their log."""
+    decimals, alike, groups = set[str](), dict[str, str](), dict[str, str]()
+    for cell in cells:
+        for mark in ".,":
+            if mark in cell and is_alike(cell, mark):
+                alike.setdefault(mark, cell)
+            elif mark in cell and _DECIMAL[mark].fullmatch(cell):
+                decimals.add(mark)
+        if (group := grouping_of(cell)) is not None:
+            groups.setdefault(group, cell)
+    return Marks(frozenset(decimals), alike, groups)
+
+
+def other_mark(mark: str) -> str:
+    """Return `,` for `.`, and `.` for `,`."""
+    return "." if mark == "," else ","
+
+
+def is_alike(cell: str, mark: str) -> bool:
+    """Return whether a cell such as `1.003` is either a decimal or one or more groups of three digits."""
+    return _ALIKE[mark].fullmatch(cell) is not None
+
+
+def unclear(cells: Sequence[str], mark: str) -> str | None:
+    """Return a cell of a column that may be a decimal or a grouped number; None if the column is clear.
+
+    It is unclear if every cell with the mark looks like a group, and whole numbers below 1000 stand next to them.
+
+    Args:
+        cells: of the column. mark: `.` or `,`, which would be its decimal mark.
+    """
+    filled = {cell for cell in cells if cell}
+    marked = {cell for cell in filled if mark in cell}
+    plain = filled - marked
+    if not all(is_alike(cell, mark) for cell in marked) or any(len(cell.lstrip("+-0")) > 3 for cell in plain):
+        return None
+    small = {cell for cell in plain if _SMALL.fullmatch(cell)}
+    return next((cell for cell in cells if cell in marked), None) if min(len(marked), len(small)) >= _LEAST else None
 
 
 def grouping_of(cell: str) -> str | None:
@@ -28,11 +98,6 @@ def grouping_of(cell: str) -> str | None:
 def _clear(cell: str, mark: str) -> bool:
     """Whether a cell has a decimal mark as well, or several groups."""
     return mark == "'" or ("." in cell and "," in cell) or (mark == "," and cell.count(mark) > 1)
-
-
-def grouping_in(cells: Iterable[str]) -> str | None:
-    """Return the mark between groups of digits that the cells of a log have; None without a clear one."""
-    return next((mark for cell in cells if (mark := grouping_of(cell)) is not None), None)
 
 
 def plain(cell: str, mark: str | None) -> str | None:

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from softmap_edge.errors import RunError
-from softmap_edge.logs.readers.cells import is_number, split
+from softmap_edge.logs.readers.cells import is_plain, split
 from softmap_edge.logs.readers.columns import HeldColumns
 from softmap_edge.logs.readers.text import lines_of
 
@@ -98,6 +98,6 @@ def _count(path: Path, number: int, cells: list[str], at: int) -> int:
 def _float(path: Path, number: int, cell: str) -> float:
     if not cell:
         return np.nan
-    if is_number(cell):
-        return float(cell.replace(",", "."))
+    if is_plain(cell):
+        return float(cell)
     raise RunError(f"{path}: line {number}: '{cell[:40]}' is not a number; remove the line, or export it again")

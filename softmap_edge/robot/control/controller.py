@@ -354,7 +354,7 @@ class Controller(Supervisor):
                 "heartbeat` on its computer, or mend [emergency] of rig.toml"
             )
 
-    def _wait(self, what: Callable[[], Any], seconds: float, said: str) -> None:
+    def _wait(self, what: Callable[[], object], seconds: float, said: str) -> None:
         self.rig.time.wait_for(self._heard, lambda: what() or "error" in self._last or "gone" in self._last, seconds)
         with self._heard:
             last, came = self._last, what()

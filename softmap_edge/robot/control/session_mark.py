@@ -16,7 +16,6 @@ import time
 import warnings
 import zlib
 from pathlib import Path
-from typing import Any
 
 from softmap_edge.errors import SessionWarning
 
@@ -111,7 +110,7 @@ def last_session(file: Path) -> str | None:
     return f"the last session of this bench ({program}, begun {begun}) ended without shutting down: {how}{kept}"
 
 
-def _printable(name: Any) -> str:
+def _printable(name: object) -> str:
     return "".join(c if c.isprintable() else "?" for c in str(name))[-_NAME:]
 
 

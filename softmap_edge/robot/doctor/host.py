@@ -22,7 +22,7 @@ from softmap_edge.version import __version__
 
 PROC, DEV, SYS = Path("/proc"), Path("/dev"), Path("/sys")
 PYTHON = (3, 11)
-NEEDED = ("numpy", "onnxruntime")
+NEEDED = ("numpy", "jinja2", "onnxruntime", "tomlkit", "websockets")
 EXTRAS = {"dynamixel-sdk": "servo", "matplotlib": "report"}  # those of driving by hand: `teleoperation`
 CAP_IPC_LOCK, CAP_SYS_NICE = 14, 23  # their bits in a set of capabilities
 PRIORITY = 50  # what the loop asks for

@@ -258,7 +258,7 @@ def _head(head: Any) -> Kept:
     return Kept(camera=HostClock(late), robot=robot, vertices=vertices)
 
 
-def _list(found: Any) -> list[Any]:
+def _list(found: object) -> list[Any]:
     if not isinstance(found, list):
         raise TypeError(f"a list is {type(found).__name__}")
     return found
@@ -274,7 +274,7 @@ def _frame(stamp: Any, arrived: Any, points: Any) -> Frame:
     return Frame(_number(stamp), _number(arrived), points)
 
 
-def _text(points: Any) -> str:
+def _text(points: object) -> str:
     return base64.b64encode(np.ascontiguousarray(points, "<f8").tobytes()).decode("ascii")
 
 

@@ -117,7 +117,7 @@ class PointReceiver(Listener):
     """
 
     def __init__(
-        self, host: str, port: int, key: bytes | None = None, *, count: int | None = None, frame: Any = None
+        self, host: str, port: int, key: bytes | None = None, *, count: int | None = None, frame: object = None
     ) -> None:
         if key is None and host not in ("", *THIS_COMPUTER):
             raise LinkError(

@@ -12,7 +12,7 @@ import contextlib
 import threading
 import time
 from collections.abc import Callable, Iterator
-from typing import Any, Protocol
+from typing import Protocol
 
 from softmap_edge import _core
 from softmap_edge.errors import ServoError
@@ -42,7 +42,7 @@ class Clock(Protocol):
         """Wait."""
         ...
 
-    def wait_for(self, heard: threading.Condition, what: Callable[[], Any], seconds: float) -> bool:
+    def wait_for(self, heard: threading.Condition, what: Callable[[], object], seconds: float) -> bool:
         """Wait until `what` is true, at most `seconds`; it is tested while `heard` is held."""
         ...
 
@@ -77,7 +77,7 @@ class RealTime:
         """Wait."""
         time.sleep(seconds)
 
-    def wait_for(self, heard: threading.Condition, what: Callable[[], Any], seconds: float) -> bool:
+    def wait_for(self, heard: threading.Condition, what: Callable[[], object], seconds: float) -> bool:
         """Wait until `what` is true, at most `seconds`."""
         with heard:
             return bool(heard.wait_for(what, seconds))
@@ -111,7 +111,7 @@ class PacedTime(RealTime):
         """Return the servos' time, s."""
         return self._bus.now() / NS
 
-    def wait_for(self, heard: threading.Condition, what: Callable[[], Any], seconds: float) -> bool:
+    def wait_for(self, heard: threading.Condition, what: Callable[[], object], seconds: float) -> bool:
         """Wait until `what` is true, with a longer limit than for a real robot."""
         until = time.monotonic() + self.patience(seconds)
         while not super().wait_for(heard, what, 0.5 * WINDOW):
@@ -162,7 +162,7 @@ class SteppedTime(PacedTime):
         """Advance by `seconds`."""
         self._to(self._ns + max(round(seconds * NS), 0))
 
-    def wait_for(self, heard: threading.Condition, what: Callable[[], Any], seconds: float) -> bool:
+    def wait_for(self, heard: threading.Condition, what: Callable[[], object], seconds: float) -> bool:
         """Advance until `what` is true; other threads, or a thread without a running loop, wait in real time."""
         until, real = self._ns + round(seconds * NS), time.monotonic() + STUCK
         while True:

@@ -20,7 +20,6 @@ from softmap_edge.robot.servo.clock import REAL_TIME, Clock
 from softmap_edge.robot.servo.emergency import Emergency, read_emergency
 from softmap_edge.robot.servo.models import servo_model
 from softmap_edge.robot.servo.rig_ceiling import RANGES, Ceiling, read_ceiling
-from softmap_edge.robot.servo.rig_edit import noted
 
 SCHEMA = "softmap.rig/1"
 MOST_SERVOS = int(_core.limit_ranges()["servos"][1])
@@ -107,13 +106,17 @@ class Rig:
     def note(self, path: str | Path) -> None:
         """Write what is known of the servos, and how it was found, into the `rig.toml` that this was read from.
 
-        What its user wrote there stays, comments too (`rig_text.py`).
+        What its user wrote there stays, comments too.
 
         Raises:
             ServoError: it is no rig any more. OSError: it cannot be read or written.
         """
+        from softmap_edge.robot.servo.rig_edit import edited  # only an edit needs tomlkit
+
         read_rig(path)
-        write_atomically(path, noted(Path(path).read_text("utf-8"), self.to_toml()))
+        with open(path, encoding="utf-8", newline="") as file:
+            text = file.read()
+        write_atomically(path, edited(text, self.to_toml(), KEPT))
 
 
 def read_rig(path: str | Path) -> Rig:

@@ -100,7 +100,7 @@ def state(report: dict[str, Any]) -> str:
     return NAMES.get(name, name)
 
 
-def cause(report: dict[str, Any], limits: Mapping[str, Any] | None = None) -> str:
+def cause(report: dict[str, Any], limits: Mapping[str, object] | None = None) -> str:
     """Return why it is in that state, "" if the report names no cause; with `limits` with the value and its limit."""
     name, servo = str(report.get("cause", "none")), report.get("servo")
     if name == "hardware" and (said := errors(report)):
@@ -132,7 +132,7 @@ def bus(report: dict[str, Any]) -> str:
     return f"{', '.join(said)}; {why}" if said else ""
 
 
-def where(report: dict[str, Any], limits: Mapping[str, Any] | None = None) -> str:
+def where(report: dict[str, Any], limits: Mapping[str, object] | None = None) -> str:
     """Return state and cause as part of a sentence: `in state slackening (no target came in time)`."""
     why = cause(report, limits)
     return f"in state {state(report)}" + (f" ({why})" if why else "")
@@ -192,7 +192,7 @@ def restarts(report: dict[str, Any]) -> str:
     return f"find the cause, restart it (`softmap servo reboot --rig FILE --id {ids[0]}`, or its supply off and on)"
 
 
-def denied(said: str, report: dict[str, Any] | None = None, limits: Mapping[str, Any] | None = None) -> str:
+def denied(said: str, report: dict[str, Any] | None = None, limits: Mapping[str, object] | None = None) -> str:
     """Return why a request was denied, of what the loop's report says: `from(ready)`, `trouble(late)`, `torque`, …"""
     kind, _, of = said.rstrip(")").partition("(")
     if named := denied_for(of or kind, report or {}, limits):

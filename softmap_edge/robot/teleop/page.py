@@ -34,7 +34,6 @@ from numpy.typing import NDArray
 
 from softmap_edge.errors import TeleopError
 from softmap_edge.robot.teleop.keys import GRAVEST, Controls, HeldKey, Source, Wish
-from softmap_edge.robot.teleop.requirements import INSTALL
 
 Floats = NDArray[np.float64]
 View = Callable[[], tuple[dict[str, Any], Floats | None, tuple[int, NDArray[np.uint8]] | None]]
@@ -83,7 +82,9 @@ class Page:
         try:
             server = importlib.import_module("websockets.sync.server")
         except ImportError:
-            raise TeleopError(f"page: websockets is not installed; run {INSTALL}, or give --page none") from None
+            raise TeleopError(
+                "page: websockets is not installed; run pip install websockets, or give --page none"
+            ) from None
         self._token, self._source = secrets.token_urlsafe(24), source
         self._key, self._wish, self._knob, self._rest = HeldKey(), Wish(), (0.0, 0.0), (0.0, 0.0)
         self._driver: object | None = None

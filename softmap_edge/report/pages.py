@@ -1,0 +1,85 @@
+"""Write self-contained HTML pages from the templates in `templates/`.
+
+A page loads nothing: pictures are inside it, there is no script, and its content policy forbids both. Every value that
+a template shows is escaped, and characters that do not print are written as escapes.
+"""
+
+from __future__ import annotations
+
+import base64
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+from markupsafe import Markup
+
+from softmap_edge.files.numbers import mm, percent
+from softmap_edge.files.printable import printable
+
+TEMPLATES = Path(__file__).with_name("templates")
+INSTALL = "pip install 'softmap-edge[report]'"
+
+
+@dataclass(frozen=True)
+class Card:
+    """A figure at the top of a page; `tone` is before, after or floor."""
+
+    label: str
+    value: str
+    note: str
+    tone: str
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A picture (PNG or SVG) with the title of its section, what it shows in words, and its caption."""
+
+    title: str
+    image: bytes
+    alt: str
+    note: str = ""
+
+    @property
+    def source(self) -> str:
+        """The address that holds the picture itself."""
+        kind = "image/png" if self.image.startswith(b"\x89PNG") else "image/svg+xml"
+        return f"data:{kind};base64,{base64.b64encode(self.image).decode()}"
+
+
+def render(template: str, page: object, *folders: Path) -> str:
+    """Return a page as HTML.
+
+    Args:
+        template: name of the template
+        page: what it shows, as `page`
+        folders: more folders with templates
+    """
+    return _environment(*folders).get_template(template).render(page=page)
+
+
+def _environment(*folders: Path) -> Environment:
+    environment = Environment(
+        loader=FileSystemLoader([TEMPLATES, *folders]),
+        autoescape=True,
+        finalize=_shown,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters |= {"mm": mm, "percent": percent}
+    return environment
+
+
+def _shown(value: object) -> Any:
+    """Return what is shown of a value: markup as it is, all else as printable text."""
+    return value if isinstance(value, Markup) else printable(str(value))
+
+
+def pictures_missing() -> str | None:
+    """Return the command that installs what pictures need; None where matplotlib is installed."""
+    try:
+        import matplotlib  # noqa: F401
+    except ImportError:
+        return INSTALL
+    return None

@@ -1,0 +1,78 @@
+"""Keys and values of a mapping that do not exist: one error that lists the right ones and names the nearest."""
+
+from pathlib import Path
+
+import pytest
+
+from softmap_edge.errors import RunError
+from softmap_edge.logs.mapping import CONSTANTS, KEYS, LOG, parse_mapping
+from softmap_edge.logs.time_keys import KEYS as TIME_KEYS
+
+MAP = """schema = "softmap.mapping/1"
+[[log]]
+time = { column = "t" }
+command = { columns = ["a"] }
+markers = { columns = [["x", "y", "z"]] }
+"""
+
+
+def refused(text):
+    with pytest.raises(RunError) as found:
+        parse_mapping(text, Path("map.toml"))
+    return str(found.value)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "near", "listed"),
+    [
+        ("column =", "colum =", "column", TIME_KEYS),
+        ('"t" }', '"t", jump = "mend" }', "jumps", TIME_KEYS),
+        ('"t" }', '"t", repeat = "drop" }', "repeated", TIME_KEYS),
+        ('"t" }', '"t", offset = 1.0 }', "offset_s", TIME_KEYS),
+        ('{ column = "t" }', "{ rate = 100 }", "rate_hz", TIME_KEYS),
+        ("time =", "tme =", "time", LOG),
+        ("time =", "skip_row = 1\ntime =", "skip_rows", LOG),
+        ("markers = { columns", "markers = { colums", "columns", ("columns", "swaps", "labels", "not_seen")),
+        ("command = { columns", "command = { unwarp = 4096, columns", "unwrap", ("columns", "unwrap")),
+        ('"z"]] }', '"z"]], swap = "mend" }', "swaps", ("swaps",)),
+        ('"z"]] }\n', '"z"]] }\n[sean]\nrate_hz = 10\n', "seen", KEYS),
+        ('"z"]] }\n', '"z"]] }\n[seen]\nfast_pm = 10\n', "fast_ppm", ("clock_step",)),
+        ('"z"]] }\n', '"z"]] }\n[constant]\nsigma = 0.1\n', "sigma_mm", CONSTANTS),
+    ],
+)
+def test_a_misspelt_key_is_named_with_the_nearest_and_all_others(old, new, near, listed):
+    assert old in MAP
+    text = refused(MAP.replace(old, new, 1))
+    assert text.endswith(f"did you mean '{near}'?") and "no key" in text
+    assert all(key in text.split("there are")[1] for key in listed)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "near"),
+    [
+        ('"t" }', '"t", unit = "msec" }', "ms"),
+        ('"t" }', '"t", jumps = "mnd" }', "mend"),
+        ('"t" }', '"t", repeated = "drpo" }', "drop"),
+        ('"z"]] }', '"z"]], swaps = "mended" }', "mend"),
+    ],
+)
+def test_a_misspelt_value_is_named_with_the_nearest(old, new, near):
+    assert refused(MAP.replace(old, new, 1)).endswith(f"did you mean '{near}'?")
+
+
+@pytest.mark.parametrize("key", ["labels = ['a']", 'swaps = "mend"', 'not_seen = "keep"'])
+def test_a_key_of_markers_is_refused_for_commands(key):
+    assert "no key" in refused(MAP.replace("command = {", f"command = {{ {key},"))
+
+
+@pytest.mark.parametrize("time", ['"None"', '"off"', '"t"', '""'])
+def test_a_time_that_is_a_text_says_what_is_expected(time):
+    text = refused(MAP.replace('{ column = "t" }', time))
+    assert '{ column = "t" }' in text and 'time = "none"' in text
+
+
+def test_kinds_are_named_in_words():
+    assert "rate_hz is text '100', expected a whole number or a number" in refused(
+        MAP.replace('"t" }', '"t", rate_hz = "100" }')
+    )
+    assert "expected a table" in refused(MAP.replace('{ column = "t" }', "5"))
