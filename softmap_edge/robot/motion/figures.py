@@ -23,7 +23,7 @@ FARTHEST = 1e6  # units of a file from its origin: beyond, differences of points
 _ROUND = np.linspace(0.0, 2 * np.pi, 181)
 DRAWING = (
     "drawings are not read; sample its curve and save a .csv with one point x,y a line, y up: "
-    "docs/track.md has a command that does it"
+    "docs/do/track.md has a command that does it"
 )
 
 
