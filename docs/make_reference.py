@@ -16,7 +16,7 @@ import re
 import sys
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).parent))  # schemas.py stands beside this file
+sys.path.insert(0, str(Path(__file__).parent))  # schemas.py is next to this file
 from schemas import SCHEMAS
 
 from softmap_edge import _core, cli
@@ -117,25 +117,25 @@ def filled(page: str, **tables: list[str]) -> str:
 
 def commands_page() -> str:
     """Return the page of all commands with their options."""
-    verbs = cli.commands_here()
+    commands = cli.commands_here()
     parts = [COMMANDS_HEAD]
-    for group in dict.fromkeys(verb.group for verb in verbs):
+    for group in dict.fromkeys(one.group for one in commands):
         parts += [f"| {group} | |", "|---|---|"]
-        parts += [f"| [{v.name}](#{v.name}) | {_cell(v.help)} |" for v in verbs if v.group == group]
+        parts += [f"| [{v.name}](#{v.name}) | {_cell(v.help)} |" for v in commands if v.group == group]
         parts.append("")
-    for verb in verbs:
-        parts.append(_command(verb))
+    for one in commands:
+        parts.append(_command(one))
     return "\n".join(parts)
 
 
-def _command(verb: Command) -> str:
-    parser = cli.parser_of(verb)
-    lines = [f"## {verb.name}", "", _sentence(verb.help), "", *_options(parser)]
+def _command(command: Command) -> str:
+    parser = cli.parser_of(command)
+    lines = [f"## {command.name}", "", _sentence(command.help), "", *_options(parser)]
     for action in parser._actions:
         if isinstance(action, argparse._SubParsersAction):
             helps = {one.dest: one.help or "" for one in action._choices_actions}
             for name, below in action.choices.items():
-                lines += [f"### {verb.name} {name}", "", _sentence(helps.get(name, "")), "", *_options(below)]
+                lines += [f"### {command.name} {name}", "", _sentence(helps.get(name, "")), "", *_options(below)]
     return "\n".join(lines)
 
 
