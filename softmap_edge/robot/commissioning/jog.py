@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from types import TracebackType
-from typing import Literal, Protocol, Self
+from typing import Any, Literal, Protocol, Self, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +26,8 @@ from softmap_edge.robot.servo.bus import opened
 from softmap_edge.robot.servo.conditions import JOG_TRAVEL
 from softmap_edge.robot.servo.home_mark import forget, marked
 from softmap_edge.robot.servo.limits import of_bench
-from softmap_edge.robot.servo.loop_limits import JOG_SLEW, Table, loop_limits, servo_limits, strongest
+from softmap_edge.robot.servo.loop_limits import JOG_SLEW, loop_limits, servo_limits, strongest
+from softmap_edge.robot.servo.loop_types import LoopLimits, ServoLimits
 from softmap_edge.robot.servo.models import servo_model
 from softmap_edge.robot.servo.rig import FARTHEST, Rig
 
@@ -227,7 +228,7 @@ def most_travel(rig: Rig, otherwise: float = JOG_TRAVEL) -> float:
     return float((of_bench(rig)("jog_travel") or (otherwise,))[0])
 
 
-def _limits(rig: Rig, asked: dict[str, float | None]) -> Table:
+def _limits(rig: Rig, asked: dict[str, float | None]) -> LoopLimits:
     """Return the limits of jogs: what is `asked` for, where the bench allows it, and all else that the bench says."""
     robot, servos = of_bench(rig), _servos(rig)
     anywhere = (float(FARTHEST),) * 2  # a goal of a jog may jump: its travel and its slew bound it
@@ -241,7 +242,7 @@ def _limits(rig: Rig, asked: dict[str, float | None]) -> Table:
     return loop_limits(servos, jump=anywhere, **table)
 
 
-def _servos(rig: Rig) -> list[Table]:
+def _servos(rig: Rig) -> list[ServoLimits]:
     """Return the limits of each servo: its ticks about a home that is proved, else no window."""
     found = []
     with opened(rig.port, rig.baud) as bus:
@@ -253,11 +254,10 @@ def _servos(rig: Rig) -> list[Table]:
                 low = -FARTHEST - servo.home if low is None else low
                 high = FARTHEST - servo.home if high is None else high
                 limits = servo_limits(servo.model, servo.home, (low, high))
-            for name in ("slew", "acceleration", "following"):
-                limits[name] = (bench(name) or (limits[name],))[0]
-            for name in ("warm", "hot"):
-                limits[name] = min(limits[name], (bench(name) or (limits[name],))[0])
             own = strongest(servo_model(servo.model))
-            limits["current"] = min(own, (bench("current_mA") or (limits["current"],))[0])
+            values = cast(dict[str, Any], limits)
+            values |= {name: allowed[0] for name in ("slew", "acceleration", "following") if (allowed := bench(name))}
+            values |= {name: min(values[name], end[0]) for name in ("warm", "hot") if (end := bench(name))}
+            values["current"] = min(own, (bench("current_mA") or (values["current"],))[0])
             found.append(limits)
     return found
