@@ -12,6 +12,7 @@ import importlib
 import inspect
 import itertools
 import json
+import os
 import re
 import sys
 from pathlib import Path
@@ -20,7 +21,7 @@ sys.path.insert(0, str(Path(__file__).parent))  # schemas.py is next to this fil
 from schemas import SCHEMAS
 
 from softmap_edge import _core, cli
-from softmap_edge.commands import Command
+from softmap_edge.commands import RENAMED, Command
 from softmap_edge.commands.parser import Parser
 
 ROOT = Path(__file__).parents[1]
@@ -121,16 +122,33 @@ def commands_page() -> str:
     parts = [COMMANDS_HEAD]
     for group in dict.fromkeys(one.group for one in commands):
         parts += [f"| {group} | |", "|---|---|"]
-        parts += [f"| [{v.name}](#{v.name}) | {_cell(v.help)} |" for v in commands if v.group == group]
+        parts += [
+            f"| [{v.name}](#{v.name.replace(' ', '-')}) | {_cell(v.help)} |" for v in commands if v.group == group
+        ]
         parts.append("")
     for one in commands:
         parts.append(_command(one))
-    return "\n".join(parts)
+    parts += [
+        "## Old names",
+        "",
+        "They work in 0.1.0 and print a line on standard error.",
+        "",
+        "| old | new |",
+        "|---|---|",
+    ]
+    parts += [f"| `{old}` | [{new}](#{new.replace(' ', '-')}) |" for old, new in RENAMED.items()]
+    return "\n".join(parts) + "\n"
 
 
 def _command(command: Command) -> str:
     parser = cli.parser_of(command)
-    lines = [f"## {command.name}", "", _sentence(command.help), "", *_options(parser)]
+    lines = [f"## {command.name}", "", _sentence(command.help), ""]
+    if command.examples:
+        lines += ["```text", *(f"softmap {example}" for example in command.examples), "```", ""]
+    if command.page:
+        (page,) = (ROOT / "docs").rglob(f"{command.page}.md")
+        lines += [f"Page: [{page.stem}]({os.path.relpath(page, ROOT / FOLDER)})", ""]
+    lines += _options(parser)
     for action in parser._actions:
         if isinstance(action, argparse._SubParsersAction):
             helps = {one.dest: one.help or "" for one in action._choices_actions}

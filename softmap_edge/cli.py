@@ -1,21 +1,22 @@
-"""The `softmap` command: finds the verb, runs it, turns errors into one line and an exit code."""
+"""The `softmap` command: finds the command, runs it, turns errors into one line and an exit code."""
 
 from __future__ import annotations
 
+import argparse
 import importlib
 import os
 import re
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, nullcontext
 from importlib.metadata import entry_points
 from typing import TextIO, cast
 
-from softmap_edge.commands import ELSEWHERE, VERBS, Command
+from softmap_edge.commands import COMMANDS, ELSEWHERE, RENAMED, Command
 from softmap_edge.commands.incomplete import printing_warnings
 from softmap_edge.commands.parser import Parser
 from softmap_edge.commands.pipe import outliving
-from softmap_edge.errors import SoftmapError, no_name
+from softmap_edge.errors import SoftmapError, nearest, no_name
 from softmap_edge.files.printable import PrintableStream, one_line
 from softmap_edge.robot.remedies import with_files
 from softmap_edge.version import __version__
@@ -27,7 +28,7 @@ INTERRUPTED = 130  # as a shell reports Ctrl-C
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run one verb; return 0 when done, 1 for a fault or a worse error, 2 for wrong use, 130 when interrupted."""
+    """Run one command; return 0 when done, 1 for a fault or a worse error, 2 for wrong use, 130 when interrupted."""
     argv = sys.argv[1:] if argv is None else argv
     live = "--live" in argv  # it ends with its reader
     with nullcontext() if live else outliving(), _printable():
@@ -49,46 +50,81 @@ def _main(argv: list[str]) -> int:
     """Find the command and run it."""
     # Small factorisations are ten times slower with BLAS threads; read when numpy is first loaded.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    verbs = {verb.name: verb for verb in commands_here()}
+    known = {command.name: command for command in commands_here()}
     if not argv or argv[0] in ("-h", "--help"):
-        print(_overview(list(verbs.values())))
+        print(_overview(list(known.values())))
         return DONE if argv else WRONG_USE
     if argv[0] == "--version":
         print(f"softmap {__version__}")
         return DONE
     if argv[0] == HELP:  # `softmap help servo scan` is `softmap servo scan --help`
         return _main([*[word for word in argv[1:] if not word.startswith("-")], "--help"])
-    if argv[0] not in verbs:
-        if argv[0] in ELSEWHERE:
-            print(f"softmap: '{argv[0]}' is in another package: {ELSEWHERE[argv[0]]}", file=sys.stderr)
-        else:
-            print(one_line(f"softmap: {no_name('command', argv[0], [*verbs, HELP])}"), file=sys.stderr)
-        return WRONG_USE
+    if argv[0] in RENAMED:
+        new = RENAMED[argv[0]]
+        print(f"softmap: `softmap {argv[0]}` is now `softmap {new}`; the old name is gone after 0.1.0", file=sys.stderr)
+        argv = [*new.split(), *argv[1:]]
+    name = " ".join(argv[:2]) if " ".join(argv[:2]) in known else argv[0]
+    if name not in known:
+        return _no_command(argv, known)
     try:
-        return _run(verbs[argv[0]], argv[1:])
+        return _run(known[name], argv[len(name.split()) :])
     except KeyboardInterrupt:
-        print(f"softmap {argv[0]}: interrupted", file=sys.stderr)
+        print(f"softmap {name}: interrupted", file=sys.stderr)
         return INTERRUPTED
 
 
-def parser_of(verb: Command) -> Parser:
+def _no_command(argv: list[str], known: Mapping[str, Command]) -> int:
+    """Print the actions of a group that stands alone, or that there is no such command."""
+    actions = [command for name, command in known.items() if name.split()[0] == argv[0] and " " in name]
+    given = argv[1] if len(argv) > 1 else ""
+    if actions and (not given or given in ("-h", "--help")):
+        print("\n".join([f"usage: softmap {argv[0]} ACTION [options]", "", *map(_line, actions)]))
+        return DONE if given else WRONG_USE
+    if actions:
+        fault = no_name(f"action of '{argv[0]}'", given, [command.name.split()[1] for command in actions])
+    elif argv[0] in ELSEWHERE:
+        fault = f"'{argv[0]}' is in another package: {ELSEWHERE[argv[0]]}"
+    else:
+        fault = no_name("command", argv[0], dict.fromkeys([*(name.split()[0] for name in known), HELP]))
+        full = {name.split()[1]: name for name in known if " " in name}
+        if "did you mean" not in fault and (near := nearest(argv[0], list(full))):
+            fault += f"; did you mean '{full[near[0]]}'?"
+    print(one_line(f"softmap: {fault}"), file=sys.stderr)
+    return WRONG_USE
+
+
+def parser_of(command: Command) -> Parser:
     """Return the argument parser of a command."""
-    module = importlib.import_module(verb.module)
-    parser = Parser(prog=f"softmap {verb.name}", description=verb.help)
-    getattr(module, f"{verb.name.replace('-', '_')}_arguments")(parser)
+    module = importlib.import_module(command.module)
+    parser = Parser(
+        prog=f"softmap {command.name}",
+        description=command.help,
+        epilog=_epilog(command),
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    getattr(module, f"{command.function}_arguments")(parser)
     parser.add_argument("--json", action="store_true", help="print one JSON document instead of text")
     return parser
 
 
+def _epilog(command: Command) -> str:
+    """Return what stands below the options: examples, further actions, the page."""
+    lines = ["Examples:", *(f"  softmap {example}" for example in command.examples)] if command.examples else []
+    more = [one.name for one in commands_here() if one.name.startswith(f"{command.name} ")]
+    lines += [f"More actions: {', '.join(more)} (softmap help ACTION)"] if more else []
+    lines += [f"Page in the docs: {command.page}"] if command.page else []
+    return "\n".join(lines)
+
+
 def commands_here() -> list[Command]:
     """Return the commands of this installation."""
-    return [*VERBS, *_plugged_in()]
+    return [*COMMANDS, *_plugged_in()]
 
 
-def _run(verb: Command, argv: list[str]) -> int:
-    module = importlib.import_module(verb.module)
-    function = verb.name.replace("-", "_") + ("_" if verb.name == "import" else "")
-    parser = parser_of(verb)
+def _run(command: Command, argv: list[str]) -> int:
+    module = importlib.import_module(command.module)
+    function = command.function + ("_" if command.function == "import" else "")
+    parser = parser_of(command)
     # A command such as -8,3 is no option; argparse leaves alone what holds a space.
     argv = [f" {word}" if NEGATIVE.match(word) else word for word in argv]
     try:
@@ -96,7 +132,7 @@ def _run(verb: Command, argv: list[str]) -> int:
     except SystemExit as stop:  # argparse has printed why
         return int(stop.code or 0)
     try:
-        with printing_warnings(verb.name) as incomplete:
+        with printing_warnings(command.name) as incomplete:
             code = int(getattr(module, function)(args))
         if sys.stdout is not None:  # closed by whoever started it
             sys.stdout.flush()  # a closed pipe is noticed here, not when the interpreter ends
@@ -105,13 +141,13 @@ def _run(verb: Command, argv: list[str]) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return DONE
     except SoftmapError as error:
-        print(one_line(f"softmap {verb.name}: {with_files(str(error), args)}"), file=sys.stderr)
+        print(one_line(f"softmap {command.name}: {with_files(str(error), args)}"), file=sys.stderr)
         return WRONG_USE
     except MemoryError:
-        print(f"softmap {verb.name}: more memory is needed than is free; take something smaller", file=sys.stderr)
+        print(f"softmap {command.name}: more memory is needed than is free; take something smaller", file=sys.stderr)
         return WRONG_USE
     except OSError as error:
-        print(one_line(f"softmap {verb.name}: {_of_the_system(error)}"), file=sys.stderr)
+        print(one_line(f"softmap {command.name}: {_of_the_system(error)}"), file=sys.stderr)
         return WRONG_USE
 
 
@@ -124,12 +160,16 @@ def _of_the_system(error: OSError) -> str:
 
 
 def _plugged_in() -> list[Command]:
-    return [verb for point in entry_points(group="softmap.commands") for verb in point.load()()]
+    return [command for point in entry_points(group="softmap.commands") for command in point.load()()]
 
 
-def _overview(verbs: list[Command]) -> str:
+def _line(command: Command) -> str:
+    return f"  {command.name:<16} {command.help}"
+
+
+def _overview(commands: list[Command]) -> str:
     lines = ["usage: softmap COMMAND [options]   (softmap help COMMAND)", ""]
-    for group in dict.fromkeys(verb.group for verb in verbs):
+    for group in dict.fromkeys(command.group for command in commands):
         lines.append(f"{group}:")
-        lines += [f"  {verb.name:<10} {verb.help}" for verb in verbs if verb.group == group]
+        lines += [_line(command) for command in commands if command.group == group]
     return "\n".join(lines)

@@ -120,7 +120,7 @@ def base_stood_off(pose: RigidPose) -> str:
     turned, shifted = (", ".join(f"{v + 0.0:.2f}" for v in numbers) for numbers in (turn, shift))
     return (
         f"the base is not at the origin of the clouds: these were turned by ({turned}) deg and shifted by ({shifted}) "
-        "mm first; do so with every run: softmap align RUN --base clamped --bundle CALIBRATED --out RUN2"
+        "mm first; do so with every run: softmap run align RUN --base clamped --bundle CALIBRATED --out RUN2"
     )
 
 

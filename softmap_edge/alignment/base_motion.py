@@ -3,7 +3,7 @@
     pose_k = argmin Σ |R x + s − b_k|²     base markers b_k on their reference x, about the origin
     moved  = RMS over frames of pose_k less its noise; placed = mean of pose_k, where the reference is another run
 
-If the run was aligned by these markers (`softmap align`), `placed` is the remaining error of that alignment. In a
+If the run was aligned by these markers (`softmap run align`), `placed` is the remaining error of that alignment. In a
 diagnosis the reference is the run of before (`--reference`), or the place that `softmap learn` kept in `made_from`.
 There the parameters of `mount` are fitted within SIGMAS of what the markers show. `mount` and `camera_drift` are no
 candidates where a base that the markers show at rest could not move the body visibly.

@@ -162,7 +162,7 @@ def _check(model: Model, run: Run) -> None:
     if model.chain_names:
         raise CalibrationError(
             f"the model has {', '.join(model.chain_names)}, which would be counted twice; calibrate the bundle "
-            "without effects (`softmap remove`), then diagnose"
+            "without effects (`softmap model remove`), then diagnose"
         )
     if not run.frames:
         raise CalibrationError("the run has no seen frames (K = 0); record shapes together with the ticks")
@@ -194,7 +194,8 @@ def _doubts(model: Model, run: Run, matches: Matches) -> list[str]:
     if mae > FAR * length:
         raise CalibrationError(
             f"the nearest shapes of '{model.robot}' are {mae:.3g} mm off (median of {len(found)} frames), "
-            f"{FAR * length:.3g} mm is the most that can be of this robot; align the run to the base (`softmap align "
+            f"{FAR * length:.3g} mm is the most that can be of this robot; "
+            f"align the run to the base (`softmap run align "
             "--base`), or give the bundle of this robot"
         )
     notes = shape_mismatch(model, found)

@@ -222,7 +222,7 @@ def _in_place(model: Model, run: Run, rest: Floats, seen: Floats, visible: Mask,
         raise RunError(
             f"the points are turned by {angle:.3g}° and shifted by {shift:.4g} mm against the base of '{model.robot}', "
             f"which takes their distance from {before:.3g} to {after:.3g} mm RMS; bring them to the base with "
-            f"`softmap align`{_or_opposite(model, run, seen, visible)}"
+            f"`softmap run align`{_or_opposite(model, run, seen, visible)}"
         )
 
 
@@ -256,7 +256,7 @@ def _at_the_clamp(model: Model, rest: Floats, seen: Floats, visible: Mask, predi
         raise RunError(
             f"this run's frame of reference is {shift:.3g} mm off: where '{model.robot}' is held its points stand at "
             f"({where}) mm from their place; up to {fitted:g} mm is fitted as `mount`, so bring them to the base with "
-            "`softmap align`"
+            "`softmap run align`"
         )
 
 

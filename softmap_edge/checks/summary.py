@@ -122,7 +122,7 @@ def sentences(document: dict[str, Any]) -> list[str]:
         ranges = ", ".join(f"{axis} {low:.4g} to {high:.4g}" for axis, (low, high) in zip("xyz", d["points_mm"]))
         lines.append(f"          {ranges} mm in the base frame")
     if d["base_markers"]:
-        lines.append(f"          and {d['base_markers']} markers on the base (`softmap align --base b0 b1 …`)")
+        lines.append(f"          and {d['base_markers']} markers on the base (`softmap run align --base b0 b1 …`)")
     visits = d["home_visits"] if d.get("home_known", True) else "not known"
     lines.append(f"repeats   visits of home: {visits}, other places visited again: {d['places_revisited']}")
     told = [f"gravity {d['gravity']}"] if d["gravity"] else []
@@ -231,7 +231,7 @@ def _missing(run: Run, document: dict[str, Any]) -> list[str]:
     if run.command is None and run.ticks is not None:
         gaps.append(
             "command: only ticks are given; `softmap learn` makes a model in ticks, and for a model in mm a bundle of "
-            "`softmap calibrate` converts them"
+            "`softmap model calibrate` converts them"
         )
     if run.gravity is None and run.output is None:
         gaps.append("gravity: the orientation of the robot is taken to be that of its model")
@@ -289,5 +289,5 @@ def _far_away(run: Run) -> str | None:
         return None
     return (
         f"the points come no nearer to the origin than {nearest:.0f} mm: if they are in the frame of the camera, "
-        "`softmap align` brings them to the base"
+        "`softmap run align` brings them to the base"
     )

@@ -1,4 +1,8 @@
-"""The commands of `softmap`: one table; the module of a command is imported only when it runs."""
+"""The commands of `softmap`: one table; the module of a command is imported only when it runs.
+
+Groups follow the questions of a user; `model`, `run` and `servo` hold actions, such as `softmap model adapt`. The page
+docs/reference/cli.md lists them. Pinned by tests/commands/test_cli_words.py.
+"""
 
 from __future__ import annotations
 
@@ -7,51 +11,159 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Command:
-    """A verb: `module` holds the functions `NAME(args) -> int` and `NAME_arguments(parser)`."""
+    """A command: `module` holds the functions `NAME(args) -> int` and `NAME_arguments(parser)`.
+
+    Attributes:
+        name: one word, or two for an action of a group, such as `model adapt`
+        group: the question that it answers, a heading of `softmap help`
+        help: what it does, one line
+        module: where its functions are; NAME there is the last word of `name`
+        page: name of its page in the docs, without folder and ending
+        examples: command lines without `softmap`, shown by `--help`
+    """
 
     name: str
     group: str
     help: str
     module: str
+    page: str = ""
+    examples: tuple[str, ...] = ()
+
+    @property
+    def function(self) -> str:
+        """The name of its functions in its module."""
+        return self.name.split()[-1].replace("-", "_")
 
 
-VERBS: list[Command] = [
-    Command("demo", "see it all", "the complete workflow on a simulated finger", "softmap_edge.commands.demo"),
-    Command("build", "make a model", "finger.toml → bundle", "softmap_edge.commands.make"),
-    Command("learn", "make a model", "reference run → rod bundle", "softmap_edge.commands.make"),
-    Command("adapt", "make a model", "calibrate, add physics, learn the rest", "softmap_edge.commands.adapt"),
-    Command("sweep", "make a model", "simulate a grid of commands", "softmap_edge.commands.make"),
-    Command("import", "set up", "logs + mapping file → run; --guess proposes one", "softmap_edge.commands.runs"),
-    Command("align", "set up", "camera or mocap frame → base frame", "softmap_edge.commands.align"),
-    Command("register", "set up", "point clouds → vertices of the template", "softmap_edge.commands.register"),
-    Command("calibrate", "set up", "servo ticks → commands of a model", "softmap_edge.commands.calibrate"),
-    Command(
-        "servo", "set up", "find, read, set up, home, release or emulate servos", "softmap_edge.commands.servo.commands"
-    ),
-    Command("run", "set up", "cut runs, join them, show what they hold", "softmap_edge.commands.run"),
-    Command("doctor", "set up", "is everything here that a robot needs", "softmap_edge.commands.doctor"),
-    Command("check", "look", "is this run or bundle sound", "softmap_edge.commands.runs"),
-    Command("show", "look", "what is in a run or bundle", "softmap_edge.commands.runs"),
-    Command("predict", "look", "shapes for commands", "softmap_edge.commands.look"),
-    Command("effects", "look", "the effects that the library knows", "softmap_edge.commands.look"),
-    Command("compare", "understand", "how far off is the model, and where", "softmap_edge.commands.understand"),
-    Command(
-        "diagnose", "understand", "which family of effects is missing, and its law", "softmap_edge.commands.understand"
-    ),
-    Command("next", "understand", "which experiment settles what is open", "softmap_edge.commands.experiment"),
-    Command("add", "understand", "add an effect to a bundle", "softmap_edge.commands.understand"),
-    Command("remove", "understand", "remove an effect from a bundle", "softmap_edge.commands.understand"),
-    Command("refit", "understand", "fit the effects of a bundle again", "softmap_edge.commands.understand"),
-    Command("move", "move", "jog a servo, or go to one command", "softmap_edge.commands.move"),
-    Command("track", "move", "lead the tip along a figure", "softmap_edge.commands.track"),
-    Command("teleop", "move", "drive by hand: camera, keys or mouse", "softmap_edge.commands.teleop"),
-    Command(
-        "record", "move", "play a command file, on a robot or the simulated finger", "softmap_edge.commands.experiment"
-    ),
-    Command("replay", "move", "a recording of the loop, decided again", "softmap_edge.commands.servo.commands"),
-]
+_HERE = "softmap_edge.commands"
+SEE, DATA, MODEL = "see it all", "prepare data", "make or change a model"
+LOOK, UNDERSTAND, ROBOT = "look at a file", "understand what is missing", "drive a robot"
 
-# Verbs of distributions that may not be installed, and what to install for each.
+COMMANDS: list[Command] = [
+    Command(
+        "demo", SEE, "the complete workflow on a simulated finger", f"{_HERE}.demo", "demo",
+        ("demo --out demo", "demo --hide backlash,payload --seed 3"),
+    ),
+    Command(
+        "import", DATA, "logs + mapping file → run; --guess proposes one", f"{_HERE}.runs", "own_csv",
+        ("import log.csv --guess --out map.toml", "import log.csv --map map.toml --out run.npz"),
+    ),
+    Command(
+        "run", DATA, "cut runs, join them, show what they hold", f"{_HERE}.run", "runs",
+        ("run show run.npz", "run cut run.npz --from 0 --to 60 --out piece.npz"),
+    ),
+    Command(
+        "run align", DATA, "camera or mocap frame → base frame", f"{_HERE}.align", "registration",
+        ("run align run.npz --out aligned.npz",),
+    ),
+    Command(
+        "run register", DATA, "point clouds → vertices of the template", f"{_HERE}.register", "registration",
+        ("run register clouds.npz --out run.npz",),
+    ),
+    Command(
+        "build", MODEL, "finger.toml or sweep → bundle", f"{_HERE}.make", "finger_toml",
+        ("build finger.toml --out model", "build sweep.npz --out model"),
+    ),
+    Command(
+        "learn", MODEL, "reference run → rod bundle", f"{_HERE}.make", "own_csv",
+        ("learn run.npz --out model", "learn run.npz --robot robot.toml --out model"),
+    ),
+    Command(
+        "model adapt", MODEL, "calibrate, add physics, learn the rest", f"{_HERE}.adapt", "residual",
+        ("model adapt run.npz --held-out other.npz --out adapted",),
+    ),
+    Command(
+        "model calibrate", MODEL, "servo ticks → commands of a model", f"{_HERE}.calibrate", "registration",
+        ("model calibrate run.npz --bundle model --out calibrated",),
+    ),
+    Command(
+        "model effects", MODEL, "the effects that the library knows; `new` begins one of yours", f"{_HERE}.look",
+        "effects", ("model effects", "model effects backlash", "model effects new mine"),
+    ),
+    Command(
+        "model predict", MODEL, "shapes for commands", f"{_HERE}.look", "cli",
+        ("model predict 8,-4", "model predict run.npz --bundle model --out points.npz"),
+    ),
+    Command(
+        "model refit", MODEL, "fit the effects of a model, or the numbers of a finger, again",
+        f"{_HERE}.understand", "report", ("model refit run.npz --bundle model --out refitted",),
+    ),
+    Command(
+        "model remove", MODEL, "remove an effect from a model", f"{_HERE}.understand", "report",
+        ("model remove backlash --bundle model --out plain",),
+    ),
+    Command(
+        "model sweep", MODEL, "simulate a grid of commands", f"{_HERE}.make", "import_sweep",
+        ("model sweep finger.toml --out sweep.npz",),
+    ),
+    Command(
+        "check", LOOK, "is this run or bundle sound", f"{_HERE}.runs", "own_csv",
+        ("check run.npz", "check run.npz --bundle model", "check model"),
+    ),
+    Command("show", LOOK, "what is in a run or bundle", f"{_HERE}.runs", "runs", ("show run.npz", "show model")),
+    Command(
+        "compare", UNDERSTAND, "how far off is the model, and where", f"{_HERE}.understand", "report",
+        ("compare run.npz --bundle model", "compare run.npz --bundle model --html page.html"),
+    ),
+    Command(
+        "diagnose", UNDERSTAND, "which family of effects is missing, and its law", f"{_HERE}.understand", "diagnose",
+        ("diagnose run.npz --bundle model --out found.json", "diagnose run.npz --held-out other.npz"),
+    ),
+    Command(
+        "add", UNDERSTAND, "add an effect to a bundle", f"{_HERE}.understand", "diagnose",
+        ("add backlash --from found.json --bundle model --out better",),
+    ),
+    Command(
+        "next", UNDERSTAND, "which experiment settles what is open", f"{_HERE}.experiment", "record",
+        ("next found.json --out next.csv", "next --standard --out standard.csv"),
+    ),
+    Command(
+        "record", ROBOT, "play a command file, on a robot or the simulated finger", f"{_HERE}.experiment", "record",
+        ("record next.csv --sim --out run.npz", "record next.csv --rig rig.toml --camera udp://:5005 --out run.npz"),
+    ),
+    Command(
+        "track", ROBOT, "lead the tip along a figure", f"{_HERE}.track", "track",
+        ("track S --plan --picture s.svg", "track S --sim --hide backlash --record s.mcap"),
+    ),
+    Command(
+        "teleop", ROBOT, "drive by hand: camera, keys or mouse", f"{_HERE}.teleop", "teleop",
+        ("teleop --sim", "teleop --rig rig.toml"),
+    ),
+    Command(
+        "servo", ROBOT, "find, read, set up, home, release or emulate servos", f"{_HERE}.servo.commands",
+        "commission", ("servo scan", "servo setup --rig rig.toml", "servo home --rig rig.toml"),
+    ),
+    Command(
+        "servo doctor", ROBOT, "is everything here that a robot needs", f"{_HERE}.doctor", "commission",
+        ("servo doctor", "servo doctor --rig rig.toml"),
+    ),
+    Command(
+        "servo move", ROBOT, "jog a servo, or go to one command", f"{_HERE}.move", "commission",
+        ("servo move --rig rig.toml --servo 1",),
+    ),
+    Command(
+        "servo replay", ROBOT, "a recording of the loop, decided again", f"{_HERE}.servo.commands", "safety",
+        ("servo replay session.mcap",),
+    ),
+]  # fmt: skip
+
+# Names before 0.1.0; they are gone after it. Each prints a line on stderr and runs.
+RENAMED: dict[str, str] = {
+    "adapt": "model adapt",
+    "align": "run align",
+    "calibrate": "model calibrate",
+    "doctor": "servo doctor",
+    "effects": "model effects",
+    "move": "servo move",
+    "predict": "model predict",
+    "refit": "model refit",
+    "register": "run register",
+    "remove": "model remove",
+    "replay": "servo replay",
+    "sweep": "model sweep",
+}
+
+# Commands of distributions that may not be installed, and what to install for each.
 ELSEWHERE: dict[str, str] = {
     "train": "pip install 'softmap-training[torch]'",
     "evaluate": "pip install softmap-training",

@@ -16,7 +16,7 @@ WORSE = 1  # exit code
 
 
 def adapt_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments of `softmap adapt`."""
+    """Declare the arguments of `softmap model adapt`."""
     parser.add_argument(
         "runs",
         nargs="+",
@@ -43,7 +43,7 @@ def adapt(args: argparse.Namespace) -> int:
     held_out = None if args.held_out is None else open_run(args.held_out, model)
     found = learn(model, runs, held_out, not args.residual_only, teller(args))
     for run in found.runs:
-        warn_outside("adapt", found.before, run)
+        warn_outside("model adapt", found.before, run)
     folder = save_bundle(found.model, args.out)
     print(json.dumps(found.to_dict() | {"bundle": str(folder)}, indent=1) if args.json else f"{folder}\n{found}")
     if args.html:

@@ -90,7 +90,7 @@ def _like(args: argparse.Namespace, run: Run) -> int:
         raise AlignError("--like takes a transform that is known; it goes with no --base")
     other = open_run(args.like)
     if other.frame is None or other.frame_sigma is None:
-        raise AlignError(f"{args.like}: was not aligned; `softmap align` it first and give its output")
+        raise AlignError(f"{args.like}: was not aligned; `softmap run align` it first and give its output")
     if run.frame is not None:
         raise AlignError(f"{args.run}: is aligned already; give the run as it was recorded")
     aligned = in_frame(run, RigidPose(other.frame[:, :3], other.frame[:, 3]), other.frame_sigma)

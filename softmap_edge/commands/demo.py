@@ -116,7 +116,7 @@ def demo_arguments(parser: argparse.ArgumentParser) -> None:
         "--hide",
         nargs="+",
         default=["random"],
-        metavar="NAME",
+        metavar="NAME,NAME",
         help="what the second finger hides: effects by name, 'nothing', or 'random' (default)",
     )
     parser.add_argument("--seed", type=int, default=FIRST_SEED, help=f"draws finger and strengths ({FIRST_SEED})")

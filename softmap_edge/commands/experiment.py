@@ -202,7 +202,7 @@ def record_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--finger", metavar="TOML", help="the simulated finger; the built-in one without it")
     hidden = parser.add_mutually_exclusive_group()
     hidden.add_argument(
-        "--hide", "--hidden", nargs="+", default=[], metavar="NAME", help="effects that the simulated finger has"
+        "--hide", "--hidden", nargs="+", default=[], metavar="NAME,NAME", help="effects that the simulated finger has"
     )
     hidden.add_argument(
         "--truth-from", metavar="FILE", help="the same hidden effects as in a demo (its --json document)"

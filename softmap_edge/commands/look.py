@@ -45,7 +45,7 @@ def predict(args: argparse.Namespace) -> int:
         else _held(args.input, model)
     )
     for note in command_extrapolation(model, run):
-        print(f"softmap predict: {note}", file=sys.stderr)
+        print(f"softmap model predict: {note}", file=sys.stderr)
     points = model.predict(run)
     tip = points[:, model.tip_indices].mean(axis=1)
     if args.out:
@@ -103,7 +103,7 @@ def effects(args: argparse.Namespace) -> int:
 
 def _new(args: argparse.Namespace) -> int:
     if args.new_name is None:
-        raise SoftmapError("give the new effect a name: `softmap effects new wobble` writes wobble.py")
+        raise SoftmapError("give the new effect a name: `softmap model effects new wobble` writes wobble.py")
     text, file = template(args.new_name), Path(f"{args.new_name}.py")
     check_file("effects new", str(file))
     if file.exists():

@@ -30,7 +30,7 @@ def build_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "finger",
         nargs="?",
-        help="finger.toml, or a sweep (.npz) of `softmap sweep` or of another simulator "
+        help="finger.toml, or a sweep (.npz) of `softmap model sweep` or of another simulator "
         "(docs/do/import_sweep.md); without it the built-in finger",
     )
     bundle_arguments(parser)

@@ -199,7 +199,7 @@ def _go(args: argparse.Namespace) -> int:
 def _reported(args: argparse.Namespace, short: str, stood: str) -> int:
     """Report a move that ended off its goal, and servos that did not turn; return the exit code."""
     for said in filter(None, (short, stood)):
-        to_stderr(f"softmap move: {with_files(said, args)}")
+        to_stderr(f"softmap servo move: {with_files(said, args)}")
     return CAME_SHORT if short or stood else 0
 
 

@@ -40,7 +40,7 @@ def load_own(args: argparse.Namespace) -> list[str]:
     _trust_onnx[:] = [args.trust_onnx]
     for path in args.effects:
         if not path.endswith(".py"):
-            raise SoftmapError(f"--effects {path}: no Python file; `softmap effects new NAME` writes one")
+            raise SoftmapError(f"--effects {path}: no Python file; `softmap model effects new NAME` writes one")
     return [load_effect(path).name for path in args.effects]
 
 

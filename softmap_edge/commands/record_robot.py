@@ -216,7 +216,9 @@ def _checked(args: argparse.Namespace) -> None:
     if args.emulated and args.camera is not None:
         raise SoftmapError("--emulated has a camera of its own; leave --camera out")
     if args.calibrated and not args.emulated:
-        raise SoftmapError("--calibrated: only an emulated robot knows its true map; `softmap calibrate` finds one")
+        raise SoftmapError(
+            "--calibrated: only an emulated robot knows its true map; `softmap model calibrate` finds one"
+        )
     check_file("--out", args.out, ".npz")
     check_no_run("--out", args.out)
     check_file("--record", args.record, ".mcap", new=True)

@@ -42,8 +42,8 @@ def driven_arguments(parser: argparse.ArgumentParser, seed: str = "") -> None:
         "--hide",
         "--hidden",
         default="",
-        metavar="NAMES",
-        help="--sim: laws that the finger hides: backlash,creep",
+        metavar="NAME,NAME",
+        help="--sim: effects that the finger hides: backlash,creep",
     )
     parser.add_argument("--seed", type=int, help=f"--sim: of what is hidden and of noise (0){seed}")
     parser.add_argument("--record", metavar="FILE.mcap", help="keep what the loop recorded")

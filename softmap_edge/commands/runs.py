@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from softmap_edge import _core
 from softmap_edge.checks.advice_text import effect_lines
 from softmap_edge.checks.summary import SCHEMA, sentences, summary
 from softmap_edge.commands.output import check_file, check_kept, check_no_run
@@ -20,6 +21,7 @@ from softmap_edge.files.npz import read_npz
 from softmap_edge.logs.importer import import_logs, read_mapping
 from softmap_edge.model.bundle import load_chain
 from softmap_edge.model.manifest import load_manifest
+from softmap_edge.model.onnx import compare_with_onnxruntime
 from softmap_edge.model.user_effect import loaded
 from softmap_edge.robot.drive.recorded import open_incomplete, open_run
 from softmap_edge.run.run import Run
@@ -119,7 +121,10 @@ def check(args: argparse.Namespace) -> int:
     document: dict[str, Any] = {"schema": SCHEMA, "path": str(path), "kind": kind}
     found: dict[str, Any] = {}
     try:
-        found = _run(path, args.bundle) if kind == "run" else _bundle(path) if kind == "bundle" else read_summary(path)
+        if kind == "bundle":
+            found = _bundle(path) | _compared_networks(path)
+        else:
+            found = _run(path, args.bundle) if kind == "run" else read_summary(path)
         faults = [*found.get("not_seen", []), *(found[key] for key in ("unanswered", "fault") if found.get(key))]
         document |= found | {"sound": not faults, "fault": "; ".join(faults) or None}
     except SoftmapError as fault:
@@ -202,6 +207,22 @@ def _bundle(path: Path, asking: bool = True) -> dict[str, Any]:
     return {"manifest": manifest, **chain, **calibration, **tables}
 
 
+def _compared_networks(path: Path) -> dict[str, Any]:
+    """Compare the networks of a bundle that the core runs with onnxruntime; nothing where it has none."""
+    manifest = load_manifest(path)
+    between = np.array(manifest["command_range"], float).reshape(-1, 2)
+    apart = {}
+    for name in ("prior.onnx", "residual.onnx"):
+        if name in manifest["sha256"]:
+            content = (path / name).read_bytes()
+            try:
+                _core.Network(content)
+            except SoftmapError:  # a table of what onnxruntime makes of it
+                continue
+            apart[name.removesuffix(".onnx")] = compare_with_onnxruntime(name, content, between)
+    return {"differs_from_onnxruntime_mm": apart} if apart else {}
+
+
 def _bundle_lines(document: dict[str, Any]) -> list[str]:
     manifest = document["manifest"]
     shown = {k: v for k, v in manifest.items() if k != "sha256"} | {"effects": document["effects"] or "none"}
@@ -213,6 +234,9 @@ def _bundle_lines(document: dict[str, Any]) -> list[str]:
             f"{'onnxruntime':<18} the {name} is a table of what onnxruntime makes of its graph, "
             f"{told['table_off_mm']:.2g} mm off between the nodes (RMS): {told['why']}"
         )
+    for name, apart in document.get("differs_from_onnxruntime_mm", {}).items():
+        compared = "not compared, onnxruntime is not installed" if apart is None else f"differs by {apart:.1g} mm"
+        lines.append(f"{'onnxruntime':<18} the {name} network: {compared}")
     for name in manifest.get("own_effects", {}):
         file = Path(document["path"]) / f"{name}.py"
         lines.append(

@@ -38,7 +38,7 @@ def receiver(args: argparse.Namespace, count: int | None = None) -> PointReceive
     if args.like is not None:
         frame = open_run(args.like).frame
         if frame is None:
-            raise SoftmapError(f"--like {args.like}: it was not aligned; `softmap align` brings it to the base")
+            raise SoftmapError(f"--like {args.like}: it was not aligned; `softmap run align` brings it to the base")
     key = None if args.key is None else read_key(args.key)
     return PointReceiver(*udp_address(args.camera), key, count=count, frame=frame)
 

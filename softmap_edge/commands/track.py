@@ -37,6 +37,7 @@ from softmap_edge.robot.motion.figures import FIGURES
 from softmap_edge.robot.motion.kinematics import METHODS, Kinematics
 from softmap_edge.robot.open import Bench
 from softmap_edge.robot.servo.loop_limits import servo_limits
+from softmap_edge.run.folds import LEAST_WITHHOLDING
 
 
 def track_arguments(parser: argparse.ArgumentParser) -> None:
@@ -231,5 +232,10 @@ def _text(told: dict[str, Any]) -> str:
     lines += [f"{told[name]}: written" for name in ("record", "seen", "picture") if told[name]]
     if told["seen"]:
         bundle = f" --bundle {shlex.quote(told['bundle'])}" if told["bundle"] else ""
-        lines.append(f"next: softmap diagnose {shlex.quote(told['record'])}{bundle}")
+        frames = told["seen_mm"]["n"] if told["seen_mm"] else 0
+        if frames < LEAST_WITHHOLDING:  # a diagnosis would have nothing to validate on
+            lines.append(f"{frames} frames are too few for a diagnosis, which needs {LEAST_WITHHOLDING} or more")
+            lines.append(f"next: softmap next --standard{bundle} --out next.csv")
+        else:
+            lines.append(f"next: softmap diagnose {shlex.quote(told['record'])}{bundle}")
     return "\n".join(lines)

@@ -152,14 +152,14 @@ def add(args: argparse.Namespace) -> int:
     check_hashes(names, diagnosis.made_from.get("python_effects"))
     twice = [n for n in names if n in model.chain_names]
     if twice:
-        raise SoftmapError(f"the model has '{twice[0]}' already; `softmap refit` fits it again")
+        raise SoftmapError(f"the model has '{twice[0]}' already; `softmap model refit` fits it again")
     replay = diagnosis.made_from.get("reference")
     relative = {} if replay is None else {"relative_to": replay.get("run") if isinstance(replay, dict) else replay}
     return _write(args, diagnosis.added(model, names), {"added": names} | relative | _dropped(model))
 
 
 def remove_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments of `softmap remove`."""
+    """Declare the arguments of `softmap model remove`."""
     parser.add_argument("name", metavar="NAME[,NAME]", help="the effects to remove, or `residual`")
     parser.add_argument("--bundle", required=True, metavar="DIR", help="the model")
     effects_argument(parser)
@@ -187,7 +187,7 @@ def remove(args: argparse.Namespace) -> int:
 
 
 def refit_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments of `softmap refit`."""
+    """Declare the arguments of `softmap model refit`."""
     parser.add_argument(
         "runs", nargs="+", metavar="run", help="the measured run, .npz or .mcap; several share their effects"
     )
@@ -265,7 +265,7 @@ def _doubt(verb: str, model: Any, run: Any) -> None:
 def _names(text: str) -> list[str]:
     names = [name.strip() for name in text.split(",") if name.strip()]
     if not names:
-        raise SoftmapError("no effect is named; `softmap effects` lists them")
+        raise SoftmapError("no effect is named; `softmap model effects` lists them")
     return list(dict.fromkeys(names))
 
 
@@ -305,7 +305,7 @@ def _write(args: argparse.Namespace, model: Any, report: dict[str, Any]) -> int:
     if "relative_to" in report:
         print("what was added is relative to a reference run: what the model misses on that run it misses still")
     if "residual" in report:
-        print("the residual was learned with other effects and is dropped; `softmap adapt` learns it again")
+        print("the residual was learned with other effects and is dropped; `softmap model adapt` learns it again")
     if "before_rms_mm" in report:
         before, after = report["before_rms_mm"], report["after_held_out_rms_mm"]
         print(f"error {before:.3f} mm RMS (as the bundle stood) -> {after:.3f} mm RMS (held out)")

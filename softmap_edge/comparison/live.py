@@ -76,7 +76,8 @@ class Live:
     def __init__(self, model: Model, late: float = 0.0) -> None:
         if model.calibration is None:
             raise ComparisonError(
-                "the bundle holds no calibration of the servos, so their ticks mean nothing to it; `softmap calibrate`"
+                "the bundle holds no calibration of the servos, so their ticks mean nothing to it; "
+                "`softmap model calibrate`"
             )
         self._acts, self._shape = _advancing(model), _shape(model)
         remembering = {info.name for info in registry().values() if info.remembers}

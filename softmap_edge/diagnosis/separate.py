@@ -16,7 +16,7 @@ from softmap_edge.diagnosis.findings import Alternative, FamilyFinding, Finding,
 from softmap_edge.diagnosis.wording import OwnMisfit
 from softmap_edge.model.effect_info import Registry
 
-REFIT = "`softmap refit` on this run, then diagnose again"
+REFIT = "`softmap model refit` on this run, then diagnose again"
 
 SPECIAL = ("static", "memory", "time", "condition")  # kinds of input; a later one is varied by itself more easily
 

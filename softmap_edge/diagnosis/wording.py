@@ -33,7 +33,7 @@ class OwnMisfit:
     def __str__(self) -> str:
         return (
             f"the model's own {' + '.join(self.names)} does not fit this run: "
-            f"`softmap refit` alone takes its {self.before_mm:.2f} mm RMS (nothing fitted) to "
+            f"`softmap model refit` alone takes its {self.before_mm:.2f} mm RMS (nothing fitted) to "
             f"{self.after_mm:.2f} mm RMS (held out)"
         )
 

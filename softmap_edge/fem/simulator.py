@@ -107,7 +107,7 @@ class Sweep:
         content = read_npz(Path(path), SimulationError)
         schema = str(content.get("schema", "none"))[:80]
         if schema != SCHEMA:
-            raise SimulationError(f"{path}: schema {schema!r}, expected {SCHEMA}; make it with `softmap sweep`")
+            raise SimulationError(f"{path}: schema {schema!r}, expected {SCHEMA}; make it with `softmap model sweep`")
         try:
             units = json.loads(str(content["units"]))
             finger = Finger.from_toml(str(content["finger"]))
@@ -116,7 +116,7 @@ class Sweep:
             numbers = {name: _stored(content, name, "fiu").astype(np.float64) for name in _NUMBERS}
             triangles = _stored(content, "triangles", "i").astype(np.int32)
         except (SoftmapError, KeyError, ValueError, TypeError, RecursionError) as error:
-            raise SimulationError(f"{path}: not a sweep ({brief(error)}); make it with `softmap sweep`") from None
+            raise SimulationError(f"{path}: not a sweep ({brief(error)}); make it with `softmap model sweep`") from None
         expected = UNITS | {"command": finger.command_unit}
         if units != expected:
             raise SimulationError(f"{path}: units {units!r:.120}, expected {expected}; convert it")
@@ -140,7 +140,7 @@ class Sweep:
             if array.shape != shape or not np.isfinite(array).all():
                 raise SimulationError(
                     f"{path}: {name} of shape {array.shape}, expected finite numbers of shape {shape} for axes of "
-                    f"{[axis.shape for axis in self.axes]}; make it again with `softmap sweep`"
+                    f"{[axis.shape for axis in self.axes]}; make it again with `softmap model sweep`"
                 )
         if self.triangles.size and not 0 <= self.triangles.min() <= self.triangles.max() < n:
             raise SimulationError(f"{path}: triangles point outside the {n} vertices; make it again")

@@ -200,7 +200,7 @@ def _find_points(sheets: list[Sheet], found: Found) -> None:
     if found.base:
         places = " ".join(f"b{k}:X,Y,Z" for k in range(len(found.base)))
         found.assumed.append(
-            f"base: {len(found.base)} markers are on the clamp by their names; `softmap align RUN --base {places}` "
+            f"base: {len(found.base)} markers are on the clamp by their names; `softmap run align RUN --base {places}` "
             "brings the run to the base by them"
         )
     found.label = label_of(sheet)
@@ -354,7 +354,7 @@ def _frame(sheets: list[Sheet], found: Found) -> list[str]:
         origin, why = np.zeros(3), "the origin of the log, for the marker at rest lies on its axis"
     else:
         origin, why = np.zeros(3), "the origin of the log, since the markers do not show the clamp"
-    or_find = ", or let `softmap align` find it" if len(names) == 3 * (len(triples) + len(found.base)) else ""
+    or_find = ", or let `softmap run align` find it" if len(names) == 3 * (len(triples) + len(found.base)) else ""
     found.unknown.append(
         f"where the clamp is: {why} is taken; measure it{or_find}; and how the robot is mounted: gravity is not "
         "declared"

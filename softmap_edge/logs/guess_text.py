@@ -42,7 +42,9 @@ def mapping_text(sheets: list[Sheet], found: Found, frame: list[str]) -> str:
     if unit in ANGLE:
         lines.append(f'command_unit = "{unit}"')
     if unit == "ticks":
-        lines.append('command_unit = "ticks"   # of a model that is learned; `softmap calibrate` takes them as well')
+        lines.append(
+            'command_unit = "ticks"   # of a model that is learned; `softmap model calibrate` takes them as well'
+        )
     if any(time.calendar for time in found.times.values()):
         lines.append("zero_time = true   # the log counts since 1970, or since midnight")
     for k, sheet in enumerate(sheets):

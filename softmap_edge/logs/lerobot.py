@@ -118,7 +118,7 @@ def explained(document: object) -> str | None:
         f"is the calibration of a LeRobot arm, no log: {each}. It holds the ticks that each motor may "
         "take, not how many mm a tick moves. Import the dataset itself; values from -100 to 100 become ticks in the "
         "mapping by "
-        f"ticks = {{ columns = [ONE], {_line(first)} }} of each motor, and `softmap calibrate` finds their mm"
+        f"ticks = {{ columns = [ONE], {_line(first)} }} of each motor, and `softmap model calibrate` finds their mm"
     )
 
 

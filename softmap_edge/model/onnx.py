@@ -1,7 +1,7 @@
 """Trained networks of a bundle: `prior.onnx` and `residual.onnx`, commands (n, C) to the points of a body (n, 3N) mm.
 
-The compiled core runs them (`rust/network/`), with exact slopes. When a file is read, onnxruntime runs it as well, on
-commands all over the range: a second implementation, so that a damaged or foreign file is found and not driven with.
+The compiled core runs them (`rust/network/`), with exact slopes, and needs no onnxruntime. Training compares both where
+it exports a network, `softmap check BUNDLE` does it again; hashes of the bundle vouch for the file in between.
 Fits look at features, not at points: there a network of up to three commands becomes a table (`tabulated`).
 
 A graph of other operators is one that only onnxruntime runs. It is run only if the user allows it (`--trust-onnx`),
@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Mapping, Sequence
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -25,11 +26,11 @@ from numpy.typing import NDArray
 from softmap_edge import _core
 from softmap_edge.errors import BundleError, SoftmapError, brief
 from softmap_edge.files.child import ChildFault, in_child
+from softmap_edge.model.manifest import MAX_ONNX_BYTES
 
 Floats = NDArray[np.float64]
 Arrays = dict[str, NDArray[Any]]
 
-MOST_BYTES = 64 << 20  # the published network has 7 MB
 BATCH = 64  # commands that onnxruntime is given at a time, so that a wide graph needs little memory
 CHILD_MB, CHILD_S = 1000, 60.0  # limits of onnxruntime in a child process
 CHECKED = 32  # commands at which both implementations are compared
@@ -47,7 +48,7 @@ def read_network(
 ) -> tuple[Arrays, dict[str, Any] | None]:
     """Read an ONNX file: the arrays of its shape, and a description if only onnxruntime can read it.
 
-    One that training wrote stays a network (`onnx`), and onnxruntime is seen to give the same; another becomes a table.
+    One that training wrote stays a network (`onnx`); another becomes a table.
 
     Args:
         file: the file.
@@ -56,12 +57,11 @@ def read_network(
         trusted: asked whether onnxruntime may run a graph that the core does not read, `trusted(file, sha256)`.
 
     Raises:
-        BundleError: it is too large, refers to other files, holds loops, has other channels, is not trusted, or core
-            and onnxruntime differ.
+        BundleError: it is too large, refers to other files, holds loops, has other channels, or is not trusted.
     """
     size = file.stat().st_size
-    if size > MOST_BYTES:
-        raise BundleError(f"{file.name}: {size >> 20} MB, networks of up to {MOST_BYTES >> 20} MB are read")
+    if size > MAX_ONNX_BYTES:
+        raise BundleError(f"{file.name}: {size >> 20} MB, networks of up to {MAX_ONNX_BYTES >> 20} MB are read")
     content = file.read_bytes()
     try:
         _core.check_onnx(content)
@@ -78,13 +78,32 @@ def read_network(
         return table_from_onnxruntime(file.name, content, command_range, prior, str(fault))
     if network.channels != len(command_range):
         raise BundleError(f"{file.name}: {network.channels} commands, the bundle has {len(command_range)}")
+    return {"onnx": np.frombuffer(content, np.uint8)}, None
+
+
+def compare_with_onnxruntime(name: str, content: bytes, command_range: Floats) -> float | None:
+    """Return by how much core and onnxruntime differ at commands all over the range, at most, mm.
+
+    Args:
+        name: of the file
+        content: its bytes, a network that the core reads
+        command_range: (C, 2) mm
+
+    Returns:
+        float | None: the largest difference, mm; None where onnxruntime is not installed
+
+    Raises:
+        BundleError: they differ by more than `AGREE_MM`, or onnxruntime cannot run it
+    """
+    if find_spec("onnxruntime") is None:
+        return None
     commands = _some(command_range)
-    apart = float(np.abs(run_onnxruntime(content, commands) - network.evaluate(commands)).max())
+    apart = float(np.abs(run_onnxruntime(content, commands) - _core.Network(content).evaluate(commands)).max())
     if not apart < AGREE_MM:
         raise BundleError(
-            f"{file.name}: onnxruntime and the core differ by {apart:.2g} mm, allowed is {AGREE_MM:g}; export it again"
+            f"{name}: onnxruntime and the core differ by {apart:.2g} mm, allowed is {AGREE_MM:g}; export it again"
         )
-    return {"onnx": np.frombuffer(content, np.uint8)}, None
+    return apart
 
 
 def table_from_onnxruntime(
@@ -160,10 +179,12 @@ def run_onnxruntime(content: bytes, commands: Floats) -> Floats:
     """Return what onnxruntime gives (n, M) for an ONNX file's `content` at commands (n, C).
 
     Raises:
-        BundleError: onnxruntime cannot run it, or it needs too much memory.
+        BundleError: onnxruntime is not installed or cannot run it, or it needs too much memory.
     """
-    import onnxruntime
-
+    try:
+        import onnxruntime
+    except ImportError:
+        raise BundleError("onnxruntime is not installed; run pip install onnxruntime") from None
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = options.inter_op_num_threads = 1
     options.log_severity_level = 4  # what it has to say becomes an error here

@@ -194,7 +194,7 @@ class Calibration:
         schema = document.get("schema") if isinstance(document, dict) else None
         if schema != SCHEMA:
             raise CalibrationError(
-                f"calibration: schema {schema!r:.60}, expected {SCHEMA!r}; make it with `softmap calibrate`"
+                f"calibration: schema {schema!r:.60}, expected {SCHEMA!r}; make it with `softmap model calibrate`"
             )
         try:
             if document["unit"] != "ticks":
@@ -212,7 +212,7 @@ class Calibration:
         except (KeyError, TypeError, ValueError, OverflowError) as fault:
             raise CalibrationError(
                 f"calibration: an entry is missing or of another form ({type(fault).__name__} {fault!s:.60}); make it "
-                "again with `softmap calibrate`"
+                "again with `softmap model calibrate`"
             ) from None
 
 

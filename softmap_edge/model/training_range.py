@@ -148,7 +148,7 @@ def check_commands(model: Model, run: Run, u: Floats) -> None:
         way = (
             "give the run in ticks as it was recorded"
             if model.command_unit == "ticks"
-            else "calibrate the model (`softmap calibrate RUN --bundle DIR --out DIR2`) and give that bundle"
+            else "calibrate the model (`softmap model calibrate RUN --bundle DIR --out DIR2`) and give that bundle"
         )
         raise RunError(
             f"the run's commands are in {run.command_unit}, this model of '{model.robot}' takes {model.command_unit}, "
@@ -178,5 +178,5 @@ def out_of_reach(model: Model, run: Run) -> list[str]:
         return []
     return [
         f"the points are {off:.4g} mm from where '{model.robot}' rests, which reaches {reach:.3g} mm: if they are "
-        "in the frame of a camera, `softmap align` brings them to the base"
+        "in the frame of a camera, `softmap run align` brings them to the base"
     ]

@@ -1,7 +1,7 @@
 """How the points of a run are seen by a model: as features of its own, or of markers carried on its template.
 
 A run of vertices or of the model's own markers gives the model's features; markers on a template are features of their
-own. Vertices laid onto clouds (`softmap register`) say `roll_seen = false`: what a round finger does about its own axis
+own. Vertices laid onto clouds (`run register`) have `roll_seen = false`: what a round finger does about its own axis
 is not in them, so of its features the places of sections count and the directions do not. Units: mm.
 Pinned by tests/geometry/test_markers.py and tests/diagnosis/test_clouds_diagnosis.py.
 """

@@ -2,7 +2,7 @@
 
 Left the first two commands: a dot where the map puts a held command (a cross where it was set aside), and an arrow
 towards the one that was matched, drawn longer by the factor that is written there. Right, for each servo, what the map
-leaves of every command. Needs matplotlib; imported by `softmap calibrate --plot` only.
+leaves of every command. Needs matplotlib; imported by `softmap model calibrate --plot` only.
 """
 
 from __future__ import annotations

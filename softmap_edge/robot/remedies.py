@@ -15,7 +15,7 @@ COMMAND = re.compile(r"`softmap\s([^`]+)`")
 OPENS, CLOSES = "([{", ")]}"
 COMPLETES = {
     "rig": ("servo setup", "servo home", "servo pull", "servo limits", "servo off", "servo reboot", "servo calibrate",
-            "doctor", "move"),
+            "servo doctor", "servo move"),
     "bundle": ("servo pull", "servo limits"),
 }  # fmt: skip
 
@@ -63,7 +63,9 @@ def _complete(command: str, given: Mapping[str, str]) -> str:
             continue
         if option in command.split():
             command = command.replace(f"{option} FILE", f"{option} {value}")
-        elif command.startswith(tuple(COMPLETES[name])) and not (name == "rig" and command.startswith("move --sim")):
+        elif name == "rig" and command.startswith("servo move --sim"):
+            continue
+        elif command.startswith(tuple(COMPLETES[name])):
             command += f" {option} {value}"
     return command
 

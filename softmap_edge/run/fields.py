@@ -317,7 +317,7 @@ def _units(run: Run) -> None:
     if run.frame is not None:
         turn = run.frame[:, :3]
         if np.abs(turn @ turn.T - np.eye(3)).max() > 1e-6 or np.linalg.det(turn) < 0:
-            raise RunError("frame: its first three columns are no rotation; make it with `softmap align`")
+            raise RunError("frame: its first three columns are no rotation; make it with `softmap run align`")
     if run.cameras is not None and run.cameras.size:
         turns = run.cameras[:, :, :3]
         if np.abs(turns @ turns.transpose(0, 2, 1) - np.eye(3)).max() > 1e-6 or np.linalg.det(turns).min() < 0:

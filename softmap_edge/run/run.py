@@ -123,7 +123,7 @@ class Run:
         visible: (K, N) bool. sigma: () or (K, N) mm, one standard deviation. block: (K,) integer or text
             labels.
         marker_rest: (M, 3) mm, the markers of the straight robot. robot: its name.
-        frame: (3, 4) [R | mm], transform of the points from the recorded frame to the base frame (`softmap align`);
+        frame: (3, 4) [R | mm], transform of the points from the recorded frame to the base frame (`softmap run align`);
             frame_sigma: (6,) its standard deviations, deg and mm, about the axes of the base frame.
         cameras: (A, 3, 4) [R | mm], the pose of each camera, from the base frame to its own, in which it looks along z.
         output: meaning of the markers, if they are forces, angles or levels and not places (`of_outputs`).
@@ -284,7 +284,7 @@ class Run:
                 return seen
         if self.points is not None:
             raise RunError(
-                "points: clouds have no correspondence yet; lay a template onto them with `softmap register`"
+                "points: clouds have no correspondence yet; lay a template onto them with `softmap run register`"
             )
         raise RunError("vertices, markers: the run holds neither; record or import what was seen")
 
@@ -307,7 +307,8 @@ class Run:
         if self.command is None:
             raise RunError(
                 "command: the run holds ticks, and the model takes another unit without a calibration; `softmap learn "
-                "RUN --out DIR` makes a model in ticks from a run with markers, `softmap calibrate RUN --bundle DIR "
+                "RUN --out DIR` makes a model in ticks from a run with markers, "
+                "`softmap model calibrate RUN --bundle DIR "
                 "--out DIR2` calibrates a model of this robot; then give --bundle DIR or DIR2"
             )
         return self.command

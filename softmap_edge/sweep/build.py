@@ -50,7 +50,7 @@ PROGRESS: Progress = lambda what, share: None  # noqa: E731
 
 
 def model_from_file(path: str | Path, progress: Progress | None = None) -> Model:
-    """Return the model of a sweep file: one of `softmap sweep`, as from its finger, or one made elsewhere.
+    """Return the model of a sweep file: one of `softmap model sweep`, as from its finger, or one made elsewhere.
 
     Raises:
         SoftmapError: a field is missing or wrong, with one line.
@@ -73,7 +73,8 @@ def _as_from_its_finger(path: Path, report: Progress) -> Model:
     if not np.array_equal(sweep.gravity, sweep.finger.gravity) or np.any(sweep.tip_force):
         raise SweepError(
             f"{path.name}: made under gravity {sweep.gravity.tolist()} and a tip force of {sweep.tip_force.tolist()} "
-            f"N, its finger hangs under {list(sweep.finger.gravity)} without; make it with `softmap sweep finger.toml`"
+            f"N, its finger hangs under {list(sweep.finger.gravity)} without; "
+            f"make it with `softmap model sweep finger.toml`"
         )
     return from_sweep(sweep.finger, simulator_of(sweep.finger), sweep, report)
 

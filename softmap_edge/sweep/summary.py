@@ -47,7 +47,7 @@ def summary(sweep: ShapeSweep) -> dict[str, Any]:
 
 
 def read_summary(path: Path) -> dict[str, Any]:
-    """Read a sweep file, made elsewhere or by `softmap sweep`, and return its summary; raise SoftmapError."""
+    """Read a sweep file, made elsewhere or by `softmap model sweep`, and return its summary; raise SoftmapError."""
     if not is_own_sweep(path):
         return summary(ShapeSweep.load_file(path))
     from softmap_edge.fem.simulator import Sweep
@@ -63,7 +63,7 @@ def read_summary(path: Path) -> dict[str, Any]:
             gravity=own.gravity,
             base=np.zeros(3),
             axes=own.axes,
-            notes=("made by `softmap sweep`: a model of it knows its finger, loads in grams included",),
+            notes=("made by `softmap model sweep`: a model of it knows its finger, loads in grams included",),
         )
     )
 

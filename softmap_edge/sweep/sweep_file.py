@@ -84,7 +84,7 @@ def is_shape_sweep(path: Path) -> bool:
 
 
 def is_own_sweep(path: Path) -> bool:
-    """Whether a sweep was written by `softmap sweep`, which carries its finger."""
+    """Whether a sweep was written by `softmap model sweep`, which carries its finger."""
     return "finger.npy" in archive_names(path)
 
 

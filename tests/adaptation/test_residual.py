@@ -78,12 +78,12 @@ def test_commands_beyond_those_that_taught_it_are_told(loaded, tmp_path, capsys)
         assert "leave what taught the residual" in said and "channel 1 from" in said
         share = int(said.split(" of ")[0].split()[-1]) / loaded.frames
         assert outside - 0.05 < share < 1.0
-    assert main(["predict", "5,-5", "--bundle", str(tmp_path / "near")]) == 0
+    assert main(["model", "predict", "5,-5", "--bundle", str(tmp_path / "near")]) == 0
     assert "taught" not in capsys.readouterr().err
     # A bundle is somebody else's file: what it tells of itself may be anything.
     odd = replace(near, made_from=dict(near.made_from) | {"residual": {"command_range": [["x"], None]}})
     save_bundle(odd, tmp_path / "odd")
-    assert main(["predict", "12,12", "--bundle", str(tmp_path / "odd")]) == 0
+    assert main(["model", "predict", "12,12", "--bundle", str(tmp_path / "odd")]) == 0
 
 
 def test_it_takes_the_error_away_and_says_so_held_out(adapted, loaded):
@@ -273,16 +273,18 @@ def test_the_page_as_written(tmp_path, capsys, monkeypatch):
 def test_adapt_and_what_becomes_of_the_residual(tmp_path, loaded, capsys):
     loaded.save(tmp_path / "run.npz")
     run, bundle, out = (str(tmp_path / name) for name in ("run.npz", "adapted", "d.json"))
-    assert main(["adapt", run, "--residual-only", "--out", bundle]) == 0
+    assert main(["model", "adapt", run, "--residual-only", "--out", bundle]) == 0
     said = capsys.readouterr().out
     assert "residual of 0.3" in said and "blocks of the runs that were left out" in said
-    assert main(["adapt", run, "--residual-only", "--out", bundle]) == 2 and "--force" in capsys.readouterr().err
+    assert (
+        main(["model", "adapt", run, "--residual-only", "--out", bundle]) == 2 and "--force" in capsys.readouterr().err
+    )
     assert main(["compare", run, "--bundle", bundle]) == 0
     assert main(["diagnose", run, "--bundle", bundle, "--effects", "payload,gain,offset", "--out", out]) == 0
     capsys.readouterr()
     assert main(["add", "payload", "--from", out, "--bundle", bundle, "--out", str(tmp_path / "c")]) == 0
-    assert "is dropped; `softmap adapt` learns it again" in capsys.readouterr().out
+    assert "is dropped; `softmap model adapt` learns it again" in capsys.readouterr().out
     assert load_bundle(tmp_path / "c").residual is None and load_bundle(bundle).residual is not None
-    assert main(["remove", "residual", "--bundle", bundle, "--out", str(tmp_path / "bare")]) == 0
+    assert main(["model", "remove", "residual", "--bundle", bundle, "--out", str(tmp_path / "bare")]) == 0
     assert load_bundle(tmp_path / "bare").residual is None
-    assert main(["remove", "residual", "--bundle", str(tmp_path / "bare"), "--out", str(tmp_path / "no")]) == 2
+    assert main(["model", "remove", "residual", "--bundle", str(tmp_path / "bare"), "--out", str(tmp_path / "no")]) == 2

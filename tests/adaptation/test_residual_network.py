@@ -111,12 +111,14 @@ def test_a_base_that_stands_off_is_no_shape(taught, tmp_path, capsys, monkeypatc
         assert in_base(recorded(48, seed, params=PHASE)[0], MODEL)[1] is None
     stood.save(tmp_path / "run.npz")
     call = ["train", "residual", str(tmp_path / "run.npz"), "--epochs", "2", "--out", str(tmp_path / "out")]
-    assert main(call) == 0 and "softmap align RUN --base clamped" in capsys.readouterr().out
-    assert main(["align", str(tmp_path / "run.npz"), "--base", "clamped", "--out", str(tmp_path / "base.npz")]) == 0
+    assert main(call) == 0 and "softmap run align RUN --base clamped" in capsys.readouterr().out
+    assert (
+        main(["run", "align", str(tmp_path / "run.npz"), "--base", "clamped", "--out", str(tmp_path / "base.npz")]) == 0
+    )
     assert "clouds near the base" in capsys.readouterr().out
     again = Run.load(tmp_path / "base.npz")
     assert np.linalg.norm(again.points - run.points, axis=1).mean() < 0.3
-    assert main(["align", str(tmp_path / "run.npz"), "--out", str(tmp_path / "home.npz")]) == 2
+    assert main(["run", "align", str(tmp_path / "run.npz"), "--out", str(tmp_path / "home.npz")]) == 2
     assert "give --base clamped" in capsys.readouterr().err
 
 

@@ -108,7 +108,7 @@ def test_an_aligned_run_is_as_good_as_one_recorded_in_the_base_frame(filmed, tmp
     straight, camera = filmed
     model = builtin_model()
     camera.save(tmp_path / "camera.npz")
-    assert main(["align", str(tmp_path / "camera.npz"), "--out", str(tmp_path / "base.npz"), "--json"]) == 0
+    assert main(["run", "align", str(tmp_path / "camera.npz"), "--out", str(tmp_path / "base.npz"), "--json"]) == 0
     document = json.loads(capsys.readouterr().out)
     assert document["schema"] == "softmap.align/1" and document["method"] == "home frames"
     assert document["moved"] is None and document["groups"] >= 4
@@ -119,11 +119,13 @@ def test_an_aligned_run_is_as_good_as_one_recorded_in_the_base_frame(filmed, tmp
     assert errors[1] == pytest.approx(errors[0], abs=0.05) and errors[2] > 100.0
     found = diagnose(model, aligned, effects=["mount", "backlash", "gain"])
     assert [e.name for e in found.effects] == ["backlash"] and found.faults == ()
-    assert main(["align", str(tmp_path / "base.npz"), "--out", str(tmp_path / "again.npz"), "--json"]) == 0
+    assert main(["run", "align", str(tmp_path / "base.npz"), "--out", str(tmp_path / "again.npz"), "--json"]) == 0
     turn = np.array(json.loads(capsys.readouterr().out)["transform"]["turn_deg"])
     assert np.abs(turn).max() < 0.05  # nothing is left to align, and the field holds the whole way
     np.testing.assert_allclose(Run.load(tmp_path / "again.npz").frame, aligned.frame, atol=0.4)
-    assert main(["align", str(tmp_path / "base.npz"), "--out", str(tmp_path / "camera.npz")]) == 2  # loses nothing
+    assert (
+        main(["run", "align", str(tmp_path / "base.npz"), "--out", str(tmp_path / "camera.npz")]) == 2
+    )  # loses nothing
     assert "--force to replace it" in capsys.readouterr().err
     assert Run.load(tmp_path / "camera.npz").hash() == camera.hash()
 
@@ -132,9 +134,20 @@ def test_another_run_takes_the_frame_of_an_aligned_one(filmed, tmp_path, capsys)
     straight, camera = filmed
     camera = replace(camera, extra={"base_markers": CAMERA.inverse()(np.tile(BASE, (camera.frames, 1, 1)))})
     camera.save(tmp_path / "camera.npz")
-    assert main(["align", str(tmp_path / "camera.npz"), "--base", "clamped", "--out", str(tmp_path / "base.npz")]) == 0
+    assert (
+        main(["run", "align", str(tmp_path / "camera.npz"), "--base", "clamped", "--out", str(tmp_path / "base.npz")])
+        == 0
+    )
     camera.at(np.arange(5)).save(tmp_path / "short.npz")
-    words = ["align", str(tmp_path / "short.npz"), "--out", str(tmp_path / "short_base.npz"), "--force", "--like"]
+    words = [
+        "run",
+        "align",
+        str(tmp_path / "short.npz"),
+        "--out",
+        str(tmp_path / "short_base.npz"),
+        "--force",
+        "--like",
+    ]
     assert main([*words, str(tmp_path / "base.npz")]) == 0
     seen = Run.load(tmp_path / "short_base.npz").vertices
     np.testing.assert_allclose(Run.load(tmp_path / "short_base.npz").extra["base_markers"][4], BASE, atol=0.5)
@@ -238,7 +251,16 @@ def test_a_robot_that_is_never_commanded_rests_at_home_always():
 def test_base_markers_can_be_left_out_afterwards(tmp_path, capsys):
     marked(base=BASE, noise=0.05).save(tmp_path / "run.npz")
     save_bundle(builtin_model(), tmp_path / "bundle")
-    words = ["align", str(tmp_path / "run.npz"), "--out", str(tmp_path / "out.npz"), "--base", "0,1,2,3", "--drop-base"]
+    words = [
+        "run",
+        "align",
+        str(tmp_path / "run.npz"),
+        "--out",
+        str(tmp_path / "out.npz"),
+        "--base",
+        "0,1,2,3",
+        "--drop-base",
+    ]
     assert main([*words, "--bundle", str(tmp_path / "bundle")]) == 0
     out = Run.load(tmp_path / "out.npz")
     assert out.markers.shape[1] == len(SIDES) == len(out.marker_rest) == out.visible.shape[1]

@@ -66,7 +66,7 @@ def test_base_points_that_give_no_frame_are_refused_in_one_line(base, words, tmp
     import re
 
     marked().save(tmp_path / "run.npz")
-    assert main(["align", str(tmp_path / "run.npz"), "--out", str(tmp_path / "out.npz"), "--base", *base]) == 2
+    assert main(["run", "align", str(tmp_path / "run.npz"), "--out", str(tmp_path / "out.npz"), "--base", *base]) == 2
     error = capsys.readouterr().err
     assert re.search(words, error) and error.count("\n") == 1
     assert not (tmp_path / "out.npz").exists()

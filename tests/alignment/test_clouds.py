@@ -180,9 +180,9 @@ def test_points_that_are_left_out_are_told(tmp_path, capsys):
     files = [str(tmp_path / f"{k}.csv") for k in range(7)]
     for path in files:
         np.savetxt(path, cloud, delimiter=",")
-    assert main(["register", *files, "--out", str(tmp_path / "run.npz")]) == 0
+    assert main(["run", "register", *files, "--out", str(tmp_path / "run.npz")]) == 0
     said = capsys.readouterr().out
     assert f"look at: 4.csv: 30 of {len(cloud)} points are not finite and are left out\n  and 2 more" in said
     assert "5.csv" not in said
-    assert main(["register", *files, "--out", str(tmp_path / "again.npz"), "--json"]) == 0
+    assert main(["run", "register", *files, "--out", str(tmp_path / "again.npz"), "--json"]) == 0
     assert len(json.loads(capsys.readouterr().out)["notes"]) == 7

@@ -24,7 +24,7 @@ NORMALS /= np.linalg.norm(NORMALS, axis=1, keepdims=True)
 # --- the case ------------------------------------------------------------------------------
 @pytest.mark.parametrize("path", sorted(CASES.iterdir()), ids=lambda path: path.name)
 def test_each_file_of_the_case_registers_as_a_plain_csv_does(path, tmp_path, capsys):
-    assert main(["register", str(path), "--out", str(tmp_path / "run.npz"), "--json"]) == 0
+    assert main(["run", "register", str(path), "--out", str(tmp_path / "run.npz"), "--json"]) == 0
     said = json.loads(capsys.readouterr().out)
     assert round(said["frames"][0]["residual_mm"], 2) == 0.17
     assert bool(said["notes"]) == (path.name in ("paraview.csv", "savez.npz"))  # a guess is reported
@@ -53,7 +53,7 @@ def test_the_guess_is_reported_also_where_the_cloud_is_refused(tmp_path, capsys)
     read_clouds([tmp_path / "c.csv"], notes)
     guess = "c.csv: its columns have no names; columns 2, 3, 4 are taken for x, y, z; column 1 counts rows"
     assert notes == [guess]
-    assert main(["register", str(tmp_path / "c.csv"), "--out", str(tmp_path / "r.npz")]) != 0
+    assert main(["run", "register", str(tmp_path / "c.csv"), "--out", str(tmp_path / "r.npz")]) != 0
     assert guess in capsys.readouterr().err
 
 
@@ -184,7 +184,7 @@ def test_pixels_without_depth_are_left_out_and_counted(place, share, says, tmp_p
     cloud = np.vstack([good, np.tile(np.array(place, float), (lost, 1))])
     cloud = cloud[np.random.default_rng(1).permutation(len(cloud))]
     np.save(tmp_path / "c.npy", cloud)
-    assert main(["register", str(tmp_path / "c.npy"), "--out", str(tmp_path / "r.npz")]) == 0
+    assert main(["run", "register", str(tmp_path / "c.npy"), "--out", str(tmp_path / "r.npz")]) == 0
     assert f"look at: c.npy: {says.format(n=lost, m=len(cloud))}" in capsys.readouterr().out
     assert len(clouds_of(read_clouds([tmp_path / "c.npy"]))[0]) == len(good)
 
@@ -234,8 +234,8 @@ def test_pixels_without_depth_change_nothing_that_uses_the_clouds_of_a_run(tmp_p
     for name in ("clouds", "zeros"):
         assert main(["check", f"{name}.npz"]) == 0
         shown.append(capsys.readouterr().out)
-        assert main(["align", f"{name}.npz", "--base", "clamped", "--out", f"{name}_aligned.npz"]) == 0
-        assert main(["register", f"{name}_aligned.npz", "--out", f"{name}_registered.npz"]) in (0, 1)
+        assert main(["run", "align", f"{name}.npz", "--base", "clamped", "--out", f"{name}_aligned.npz"]) == 0
+        assert main(["run", "register", f"{name}_aligned.npz", "--out", f"{name}_registered.npz"]) in (0, 1)
     assert "pixels without depth" in " ".join(shown[1].split()) and "without depth" not in shown[0]
     assert re.findall("seen.*\n.*base frame", shown[0]) == re.findall("seen.*\n.*base frame", shown[1]) != []
     one, other = (Run.load(f"{name}_registered.npz").vertices for name in ("clouds", "zeros"))

@@ -174,7 +174,7 @@ def test_the_verb_makes_a_run_of_vertices(shapes, tmp_path, capsys):
     Run(t=np.arange(4.0), command=np.zeros((4, 2)), t_seen=np.arange(3.0), points=np.vstack(seen), start=start).save(
         tmp_path / "c.npz"
     )
-    assert main(["register", str(tmp_path / "c.npz"), "--out", str(tmp_path / "v.npz"), "--json"]) == 0
+    assert main(["run", "register", str(tmp_path / "c.npz"), "--out", str(tmp_path / "v.npz"), "--json"]) == 0
     document = json.loads(capsys.readouterr().out)
     assert document["schema"] == "softmap.registration/1" and len(document["frames"]) == 3
     run = Run.load(tmp_path / "v.npz")
@@ -183,11 +183,11 @@ def test_the_verb_makes_a_run_of_vertices(shapes, tmp_path, capsys):
     off = np.linalg.norm(run.vertices - shapes[:3], axis=2)
     # Standard deviations of a coordinate say how far seen vertices are off, within a factor.
     assert 0.4 < np.sqrt(np.mean(off[run.visible] ** 2) / 3) / np.sqrt(np.mean(run.sigma[run.visible] ** 2)) < 1.6
-    assert main(["register", str(tmp_path / "c.npz"), "--out", str(tmp_path / "v.npz")]) == 2  # it stands there
+    assert main(["run", "register", str(tmp_path / "c.npz"), "--out", str(tmp_path / "v.npz")]) == 2  # it stands there
     capsys.readouterr()
     for k, cloud in enumerate(seen):
         np.savetxt(tmp_path / f"{k}.csv", cloud, delimiter=",")
     files = [str(tmp_path / f"{k}.csv") for k in range(3)]
-    assert main(["register", *files, "--out", str(tmp_path / "w.npz")]) == 0
+    assert main(["run", "register", *files, "--out", str(tmp_path / "w.npz")]) == 0
     assert "Registered 3 clouds (robust)" in capsys.readouterr().out
     np.testing.assert_allclose(Run.load(tmp_path / "w.npz").vertices, run.vertices, atol=1e-6)

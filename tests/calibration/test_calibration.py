@@ -175,7 +175,11 @@ def test_a_run_of_clouds_is_registered_first():
         (MODEL.with_effects(["gain"], {}), record(scattered(0, 9)), "counted twice"),
         (MODEL, shapes(np.zeros((3, 2))), "no ticks"),
         (MODEL, replace(record(scattered(0, 9)), ticks=np.zeros((360, 3), int)), "3 servos"),
-        (MODEL, replace(record(scattered(0, 9)), vertices=record(scattered(0, 9)).vertices + 90.0), "softmap align"),
+        (
+            MODEL,
+            replace(record(scattered(0, 9)), vertices=record(scattered(0, 9)).vertices + 90.0),
+            "softmap run align",
+        ),
         (MODEL, record(scattered(0), law=lambda r: 0 * r), r"too few|not known|needed|line"),
     ],
     ids=["few", "line", "effects", "no ticks", "servos", "frame", "does not follow"],
@@ -192,7 +196,7 @@ def test_the_verb_writes_a_bundle_a_document_and_a_picture(tmp_path, capsys):
     run = record(scattered(7), 7)
     run.save(tmp_path / "run.npz")
     out, picture = tmp_path / "calibrated", tmp_path / "pairs.svg"
-    words = ["calibrate", str(tmp_path / "run.npz"), "--out", str(out), "--home", *map(str, HOME)]
+    words = ["model", "calibrate", str(tmp_path / "run.npz"), "--out", str(out), "--home", *map(str, HOME)]
     assert main([*words, "--window", "-7000", "7000", "--plot", str(picture), "--json"]) == 0
     document = json.loads(capsys.readouterr().out)
     assert document["schema"] == "softmap.calibration/1" and document["affine"] is True
@@ -209,7 +213,7 @@ def test_the_verb_writes_a_bundle_a_document_and_a_picture(tmp_path, capsys):
 
 
 def test_the_verb_ends_with_one_where_the_relation_is_not_affine(tmp_path, capsys):
-    words = ["calibrate", str(tmp_path / "run.npz"), "--out"]
+    words = ["model", "calibrate", str(tmp_path / "run.npz"), "--out"]
     record(scattered(8, 45), 8, off=0.05, play=1.0).save(tmp_path / "run.npz")
     assert main([*words, str(tmp_path / "play")]) == 0  # which no map has, so that it is no fault of this one
     assert "memory" in capsys.readouterr().out

@@ -214,7 +214,7 @@ def test_points_far_from_the_base_are_told_to_be_aligned():
     run = full()
     assert not any("align" in note for note in summary(run)["warnings"])
     camera = full(markers=run.markers + [0, 0, 900.0])
-    assert any("softmap align" in note for note in summary(camera)["warnings"])
+    assert any("softmap run align" in note for note in summary(camera)["warnings"])
     framed = full(markers=run.markers + [0, 0, 900.0], frame=np.eye(3, 4))
     assert not any("align" in note for note in summary(framed)["warnings"])
 

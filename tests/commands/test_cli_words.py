@@ -14,10 +14,13 @@ import pytest
 from learned_ticks import arm
 
 from softmap_edge.cli import commands_here, main, parser_of
+from softmap_edge.commands import COMMANDS as BUILTIN
+from softmap_edge.commands import RENAMED
 from softmap_edge.commands.parser import parsers_below
 from softmap_edge.commands.pipe import outliving
 
-VERBS = {verb.name: verb for verb in commands_here()}
+ROOT = Path(__file__).parents[2]
+COMMANDS = {command.name: command for command in commands_here()}
 
 
 @pytest.mark.parametrize(
@@ -25,7 +28,7 @@ VERBS = {verb.name: verb for verb in commands_here()}
     [
         (["diagnos", "run.npz"], "did you mean 'diagnose'?"),
         (["Learn", "run.npz"], "did you mean 'learn'?"),
-        (["calibrat"], "did you mean 'calibrate'?"),
+        (["calibrat"], "did you mean 'model calibrate'?"),
         (["diagnose", "run.npz", "--bundel", "b"], "there is no option --bundel: did you mean --bundle"),
         (["learn", "run.npz", "--oot", "b"], "or --out?"),
         (["import", "log.csv", "--gues"], ""),  # an abbreviation is taken; the file is what is missing
@@ -35,7 +38,7 @@ VERBS = {verb.name: verb for verb in commands_here()}
         (["run", "jion", "a.npz"], "did you mean join?"),
         (["run", "cut", "a.npz", "--form", "3", "--out", "b.npz"], "did you mean --from"),
         (["learn", "run.npz", "--out", "b", "--input", "gaol"], "did you mean goal?"),
-        (["effects", "bakclash"], "did you mean 'backlash'?"),
+        (["model", "effects", "bakclash"], "did you mean 'backlash'?"),
         (["track", "S", "--sim", "--hide", "backlahs"], "did you mean 'backlash'?"),
         (["next", "--block", "home revisit"], "did you mean 'home revisits'?"),
         (["track", "circel", "--plan"], "did you mean 'circle'?"),
@@ -49,17 +52,62 @@ def test_a_name_that_does_not_exist_is_answered_with_the_nearest(argv, hint, cap
 
 
 def test_nothing_is_meant_by_nonsense(capsys):
-    for argv in (["zzzz"], ["effects", "zzzz"], ["servo", "zzzz"], ["compare", "r.npz", "--zzzz"]):
+    for argv in (["zzzz"], ["model", "effects", "zzzz"], ["servo", "zzzz"], ["compare", "r.npz", "--zzzz"]):
         assert main(argv) == 2
         assert "did you mean" not in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("name", VERBS)
+@pytest.mark.parametrize("name", COMMANDS)
 def test_help_of_a_verb_is_what_the_option_prints(name, capsys):
-    assert main(["help", name]) == 0
+    assert main(["help", *name.split()]) == 0
     told = capsys.readouterr().out
-    assert main([name, "--help"]) == 0
+    assert main([*name.split(), "--help"]) == 0
     assert told == capsys.readouterr().out and told.startswith(f"usage: softmap {name}")
+
+
+@pytest.mark.parametrize("name", [command.name for command in BUILTIN])
+def test_help_shows_examples_that_are_taken_and_a_page_that_is_there(name, capsys):
+    command = COMMANDS[name]
+    assert main([*name.split(), "--help"]) == 0
+    told = capsys.readouterr().out
+    assert command.examples and command.page
+    pages = [path for path in (ROOT / "docs").rglob(f"{command.page}.md")]
+    assert len(pages) == 1 and f"Page in the docs: {command.page}" in told
+    for example in command.examples:
+        assert f"\n  softmap {example}\n" in told
+        assert example.startswith(f"{name} ") or example == name
+        parser_of(command).parse_args(example.split()[len(name.split()) :])  # exits where it cannot be used
+
+
+def test_a_group_lists_its_actions(capsys):
+    actions = [name for name in COMMANDS if name.startswith("model ")]
+    assert len(actions) > 5
+    for argv, code in ((["model"], 2), (["model", "--help"], 0), (["help", "model"], 0)):
+        assert main(argv) == code
+        told = capsys.readouterr().out
+        assert told.startswith("usage: softmap model ACTION") and all(f"  {name} " in told for name in actions)
+    assert main(["model", "predcit"]) == 2
+    assert "no action of 'model' 'predcit'; there are " in (told := capsys.readouterr().err)
+    assert "did you mean 'predict'?" in told
+    assert main(["run", "--help"]) == 0
+    assert "More actions: run align, run register" in capsys.readouterr().out
+
+
+def test_about_fifteen_groups_answer_the_questions_of_a_user():
+    assert len({command.name.split()[0] for command in BUILTIN}) <= 16
+    frozen = "demo import learn build compare diagnose add check next record track teleop servo show"
+    assert set(frozen.split()) <= set(COMMANDS)
+
+
+@pytest.mark.parametrize("old", RENAMED)
+def test_an_old_name_works_and_says_the_new_one_in_one_line(old, capsys):
+    new = RENAMED[old]
+    assert main([*new.split(), "--help"]) == 0
+    told = capsys.readouterr().out
+    assert main([old, "--help"]) == 0
+    done = capsys.readouterr()
+    assert done.out == told
+    assert done.err == f"softmap: `softmap {old}` is now `softmap {new}`; the old name is gone after 0.1.0\n"
 
 
 def test_help_alone_of_an_action_and_of_nothing(capsys):
@@ -77,7 +125,7 @@ FILES = {
     "check": (["check", "run.npz"], None),
     "compare": (["compare", "run.npz", "--bundle", "model", "--html", "page.html"], "page.html"),
     "diagnose": (["diagnose", "run.npz", "--bundle", "model", "--effects", "offset", "--out", "d.json"], "d.json"),
-    "predict": (["predict", "run.npz", "--bundle", "model", "--out", "points.npz"], "points.npz"),
+    "predict": (["model", "predict", "run.npz", "--bundle", "model", "--out", "points.npz"], "points.npz"),
     "learn": (["learn", "run.npz", "--static", "--out", "bundle"], "bundle/manifest.json"),
     "cut": (["run", "cut", "run.npz", "--from", "0", "--to", "9", "--out", "piece.npz"], "piece.npz"),
     "next": (["next", "--standard", "--out", "next.csv"], "next.csv"),
@@ -168,9 +216,9 @@ def unread(verb):
     return sorted(found - read - {"help"})
 
 
-@pytest.mark.parametrize("name", VERBS)
+@pytest.mark.parametrize("name", COMMANDS)
 def test_every_option_is_read(name):
-    assert unread(VERBS[name]) == []
+    assert unread(COMMANDS[name]) == []
 
 
 def test_an_option_that_is_not_read_would_be_found(monkeypatch):
@@ -182,7 +230,7 @@ def test_an_option_that_is_not_read_would_be_found(monkeypatch):
         parser.add_argument("--wobble")
 
     monkeypatch.setattr(module, "effects_arguments", more)
-    assert unread(VERBS["effects"]) == ["wobble"]
+    assert unread(COMMANDS["model effects"]) == ["wobble"]
 
 
 def test_a_diagnosis_draws_nothing_at_random_and_takes_no_seed(capsys, folder):

@@ -54,7 +54,7 @@ def test_every_command_that_a_message_names_is_executed_by_a_test():
         ("use `softmap diagnose RUN --seed 3`", "no option --seed"),
         ("use `softmap servo scna`", "no action 'scna'"),
         ("use `softmap servo scan --rigs FILE`", "no option --rigs"),
-        ("use `softmap calibrate RUN RUN2 --out DIR`", "unrecognized"),
+        ("use `softmap model calibrate RUN RUN2 --out DIR`", "unrecognized"),
         ("use `softmap learn RUN --input gaol`", "invalid choice"),
         ("use `softmap\n   learn RUN --hold_out 1:2`", "no option --hold_out"),
         ("then softmap learn RUN --outt DIR", "no option --outt"),
@@ -68,12 +68,12 @@ def test_a_command_that_does_not_exist_is_found(text, wrong):
 @pytest.mark.parametrize(
     "text",
     [
-        "`softmap align`",
+        "`softmap run align`",
         "`softmap diagnose --out`",
-        "`softmap calibrate RUN --bundle DIR --out DIR2`",
+        "`softmap model calibrate RUN --bundle DIR --out DIR2`",
         "`softmap run cut RUN --from 0 --to 9 --out PIECE.npz`",
         "`softmap servo home --rig FILE`",
-        "`softmap effects new NAME`",
+        "`softmap model effects new NAME`",
         "softmap diagnose RUN --effects NAME.py",
     ],
 )

@@ -277,4 +277,4 @@ def test_points_in_the_frame_of_a_camera_are_told():
     seen[:, ::2] = False
     away = Run(t=t, command=u, t_seen=t, vertices=bent @ np.diag([1.0, -1.0, -1.0]) + [310, 45, 820], visible=seen)
     [line] = out_of_reach(model, away)
-    assert "`softmap align`" in line and "reaches 117 mm" in line
+    assert "`softmap run align`" in line and "reaches 117 mm" in line

@@ -312,7 +312,7 @@ def test_what_a_model_has_already_may_be_wrong_in_its_numbers():
     wrong, right = (builtin_model().with_effects(["backlash"], {"backlash.gap": gap}) for gap in (1.0, 1.5))
     found = diagnose(wrong, run)
     assert found.verdict == "ambiguous" and list(found.alternatives[0].effects) == ["backlash"]
-    assert "`softmap refit` alone takes" in found.sentence and "softmap refit" in found.next[0].block
+    assert "`softmap model refit` alone takes" in found.sentence and "softmap model refit" in found.next[0].block
     found = diagnose(right, run)
     assert found.verdict == "nothing" and "refit" not in found.sentence
 

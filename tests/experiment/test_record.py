@@ -53,7 +53,7 @@ def page(tmp_path_factory):
     played(hanging, WEIGHT).save(there / "hanging.npz")
     played(MOVES["another orientation"].plan(LIMITS), WEIGHT, seed=1).save(there / "leaning.npz")
     save_bundle(builtin_model(), there / "finger")
-    inline = [line for text in re.findall(r"`(softmap align [^`]*)`", PROSE) for line in lines(text)]
+    inline = [line for text in re.findall(r"`(softmap run align [^`]*)`", PROSE) for line in lines(text)]
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(there)
         patch.setattr("builtins.print", lambda *a, **k: printed.setdefault(words, []).append(" ".join(map(str, a))))

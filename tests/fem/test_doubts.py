@@ -24,9 +24,12 @@ def test_the_case_is_doubted_and_its_lost_command_is_computed(tmp_path, capsys):
     said = capsys.readouterr().out
     assert KPA in said
     assert "look at: most of the command is lost in the stretch of the tendons: 93 %, as at 3 mm" in said
-    assert main(["sweep", str(CASES / "good.toml"), "--out", str(tmp_path / "g.npz"), "--steps", "5", "--json"]) == 0
+    assert (
+        main(["model", "sweep", str(CASES / "good.toml"), "--out", str(tmp_path / "g.npz"), "--steps", "5", "--json"])
+        == 0
+    )
     assert json.loads(capsys.readouterr().out)["notes"] == []
-    assert main(["sweep", str(CASES / "kpa.toml"), "--out", str(tmp_path / "s.npz"), "--steps", "5"]) == 0
+    assert main(["model", "sweep", str(CASES / "kpa.toml"), "--out", str(tmp_path / "s.npz"), "--steps", "5"]) == 0
     said = capsys.readouterr().out
     assert KPA in said and "93 %" in said
 

@@ -1,4 +1,4 @@
-"""`softmap refit --finger`: what the finger's own numbers are, as far as a run shows them."""
+"""`softmap model refit --finger`: what the finger's own numbers are, as far as a run shows them."""
 
 from dataclasses import replace
 
@@ -133,12 +133,17 @@ def test_markers_and_a_known_load(tmp_path, capsys):
     run.save(tmp_path / "run.npz")
     (tmp_path / "finger.toml").write_text(FINGER.to_toml())
     new = tmp_path / "new.toml"
-    assert main(["refit", str(tmp_path / "run.npz"), "--finger", str(tmp_path / "finger.toml"), "--out", str(new)]) == 0
+    assert (
+        main(
+            ["model", "refit", str(tmp_path / "run.npz"), "--finger", str(tmp_path / "finger.toml"), "--out", str(new)]
+        )
+        == 0
+    )
     assert "young_mpa" in capsys.readouterr().out
     assert Finger.load(new).young_mpa == pytest.approx(0.33, rel=0.05)
     assert Finger.load(new).bounds == BOUNDS
     template = ["--finger", str(tmp_path / "finger.toml"), "--out", str(tmp_path / "finger.toml")]
-    assert main(["refit", str(tmp_path / "run.npz"), *template]) == 2  # its comments would be lost
+    assert main(["model", "refit", str(tmp_path / "run.npz"), *template]) == 2  # its comments would be lost
     assert "stands there already" in capsys.readouterr().err
 
 

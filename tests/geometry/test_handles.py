@@ -35,7 +35,10 @@ def test_the_file_the_bundle_and_the_verb_carry_them(tmp_path, capsys):
     small = FINGER.replace(core=2, layers=10, handles=30)
     (tmp_path / "finger.toml").write_text(small.to_toml(), encoding="utf-8")
     assert Finger.load(tmp_path / "finger.toml") == small
-    assert main(["sweep", str(tmp_path / "finger.toml"), "--steps", "5", "--out", str(tmp_path / "sweep.npz")]) == 0
+    assert (
+        main(["model", "sweep", str(tmp_path / "finger.toml"), "--steps", "5", "--out", str(tmp_path / "sweep.npz")])
+        == 0
+    )
     assert main(["build", str(tmp_path / "sweep.npz"), "--out", str(tmp_path / "bundle")]) == 0
     assert "(30 handles)" in capsys.readouterr().out
     model = load_bundle(tmp_path / "bundle")

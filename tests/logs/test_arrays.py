@@ -368,7 +368,7 @@ def test_the_calibration_of_an_arm_is_explained(tmp_path):
     )
     message = refused(tmp_path / "arm.json")
     assert "is the calibration of a LeRobot arm, no log: shoulder_pan (id 1, 738 to 3358), gripper (id 6" in message
-    assert "scale = 13.1, offset = 2048" in message and "softmap calibrate" in message
+    assert "scale = 13.1, offset = 2048" in message and "softmap model calibrate" in message
     assert [13.1 * x + 2048 for x in (-100, 100)] == pytest.approx([738, 3358])
     for odd in (
         "[]",

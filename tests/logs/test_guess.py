@@ -79,7 +79,7 @@ def test_the_beam(tmp_path):
     assert list(done.run.extra["marker_labels"]) == ["Tip - 1", "Tip - 2", "Tip - 3"]
     assert done.run.extra["base_markers"].shape == (600, 3, 3)
     assert np.median(done.run.markers, axis=(0, 1))[2] > 80  # the base frame is at the clamp, z to the tip
-    assert told(found.unknown, "what was commanded") and told(found.assumed, "softmap align", "b0:X,Y,Z")
+    assert told(found.unknown, "what was commanded") and told(found.assumed, "softmap run align", "b0:X,Y,Z")
 
 
 # --- recordings of motion capture and ROS --------------------------------------------------

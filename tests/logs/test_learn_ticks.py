@@ -93,9 +93,9 @@ def test_inverse_kinematics_answers_in_ticks(tmp_path, monkeypatch, capsys):
     assert main(["track", "--workspace", "--bundle", "b", "--json"]) == 0
     assert "commands_ticks" in json.loads(capsys.readouterr().out)
     assert main(["track", "O", "--plan", "--bundle", "b", "--amplitude", "4"]) == 0
-    assert main(["predict", "100", "--bundle", "b"]) == 2
+    assert main(["model", "predict", "100", "--bundle", "b"]) == 2
     assert "takes 2 finite commands in ticks" in capsys.readouterr().err
-    assert main(["predict", "100,-50", "--bundle", "b"]) == 0
+    assert main(["model", "predict", "100,-50", "--bundle", "b"]) == 0
 
 
 def test_an_emulated_robot_is_driven_in_ticks(tmp_path, monkeypatch, capsys):

@@ -157,7 +157,7 @@ def test_cables_taken_for_rods_are_named_and_the_rod_is_fitted_again(taken_for_r
     assert told["after_held_out_rms_mm"] < 1.1 * told["before_rms_mm"] and again.chain_names == ("slack",)
     # Removed, also from a bundle and after a refit, the rod is what it was before, and says so.
     save(again, tmp_path / "again")
-    assert main(["remove", "slack", "--bundle", str(tmp_path / "again"), "--out", str(tmp_path / "less")]) == 0
+    assert main(["model", "remove", "slack", "--bundle", str(tmp_path / "again"), "--out", str(tmp_path / "less")]) == 0
     assert "again what they were before" in capsys.readouterr().out
     before, less = load_bundle(tmp_path / "rods"), load_bundle(tmp_path / "less")
     np.testing.assert_array_equal(less.arrays["prior"]["numbers"], before.arrays["prior"]["numbers"])
@@ -168,7 +168,7 @@ def test_cables_taken_for_rods_are_named_and_the_rod_is_fitted_again(taken_for_r
         name: array for name, array in again.arrays["prior"].items() if "before" not in name
     }})  # fmt: skip
     save(old, tmp_path / "old")  # of before bundles kept them
-    assert main(["remove", "slack", "--bundle", str(tmp_path / "old"), "--out", str(tmp_path / "kept")]) == 0
+    assert main(["model", "remove", "slack", "--bundle", str(tmp_path / "old"), "--out", str(tmp_path / "kept")]) == 0
     assert "stay as they were fitted with the effect" in capsys.readouterr().out
     spoilt = again.arrays["prior"] | {"numbers_before": np.zeros(3)}
     with pytest.raises(SoftmapError, match="numbers of before"):

@@ -19,7 +19,7 @@ def test_predict_takes_one_command_through_the_effects_of_the_bundle(tmp_path, c
     model = builtin_model()
     shifted = model.with_effects(["offset", "mount"], {"offset.shift[0]": 2.0, "mount.shift_x": 1.5})
     bundle = save_bundle(shifted, tmp_path / "bundle")
-    assert main(["predict", "6,-3", "--bundle", str(bundle), "--out", str(tmp_path / "p.npz"), "--json"]) == 0
+    assert main(["model", "predict", "6,-3", "--bundle", str(bundle), "--out", str(tmp_path / "p.npz"), "--json"]) == 0
     expected = model.prior.evaluate(np.array([[8.0, -3.0]])).reshape(1, -1, 3) + [1.5, 0.0, 0.0]
     np.testing.assert_allclose(read_npz(tmp_path / "p.npz")["points"], expected, atol=1e-9)
     tip = json.loads(capsys.readouterr().out)["tip_mm"]
@@ -28,14 +28,14 @@ def test_predict_takes_one_command_through_the_effects_of_the_bundle(tmp_path, c
 
 @pytest.mark.parametrize("text", ["6", "6,-3,1", "6,nan", "six,seven"])
 def test_what_is_no_command_is_refused_in_one_line(text, capsys):
-    assert main(["predict", text]) == 2
+    assert main(["model", "predict", text]) == 2
     assert capsys.readouterr().err.count("\n") == 1
 
 
 def test_commands_beyond_the_range_of_the_model_are_told(capsys):
-    assert main(["predict", "16.5,-16"]) == 0
+    assert main(["model", "predict", "16.5,-16"]) == 0
     assert capsys.readouterr().err == ""  # within a twentieth of the range
-    assert main(["predict", "45,0", "--json"]) == 0
+    assert main(["model", "predict", "45,0", "--json"]) == 0
     out, err = capsys.readouterr()
     assert json.loads(out)["frames"] == 1
     assert err.count("\n") == 1 and "channel 0" in err and "-16 to 16" in err
@@ -51,13 +51,13 @@ def test_a_reader_that_stops_early_is_no_error():
 
 
 def test_effects_lists_the_registry_and_shows_one_in_full(capsys):
-    assert main(["effects", "--json"]) == 0
+    assert main(["model", "effects", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["effects"] == json.loads(json.dumps(_core.effects()))
-    assert main(["effects", "creep"]) == 0
+    assert main(["model", "effects", "creep"]) == 0
     shown = capsys.readouterr().out
     for parameter in ("strength", "tau"):
         assert parameter in shown
-    assert main(["effects", "nosuch"]) == 2
+    assert main(["model", "effects", "nosuch"]) == 2
 
 
 def test_an_effect_that_is_not_there_is_told_with_the_nearest(capsys):
@@ -66,32 +66,32 @@ def test_an_effect_that_is_not_there_is_told_with_the_nearest(capsys):
         ("mine.py,gain", "an --effects of its own"),
         ("zzz", "'zzz'; there are"),
     ):
-        assert main(["effects", name]) == 2
+        assert main(["model", "effects", name]) == 2
         assert hint in capsys.readouterr().err
 
 
 def test_no_line_about_an_effect_is_wider_than_a_terminal(capsys):
-    assert main(["effects"]) == 0
+    assert main(["model", "effects"]) == 0
     for effect in _core.effects():
-        assert main(["effects", effect["name"]]) == 0
+        assert main(["model", "effects", effect["name"]]) == 0
     out = capsys.readouterr().out
     assert max(map(len, out.splitlines())) <= 100
     assert " ".join(_core.effects()[0]["signature"].split()[:3]) in out
 
 
 def test_command_may_begin_with_a_minus(capsys):
-    assert main(["predict", "-8,3", "--json"]) == 0
+    assert main(["model", "predict", "-8,3", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["tip_mm"][0][0] < 0
 
 
 def test_a_run_is_not_replaced_by_what_is_no_run(tmp_path, capsys):
     run = standing(tmp_path / "run.npz")
-    for verb in (["predict", "8,3"], ["sweep"]):
+    for verb in (["model", "predict", "8,3"], ["sweep"]):
         assert main([*verb, "--out", str(run)]) == 2
         assert "a run stands there" in capsys.readouterr().err
     assert Run.load(run).frames == 3
-    assert main(["predict", "8,3", "--out", str(tmp_path / "p.npz")]) == 0
-    assert main(["predict", "8,3", "--out", str(tmp_path / "p.npz")]) == 0
+    assert main(["model", "predict", "8,3", "--out", str(tmp_path / "p.npz")]) == 0
+    assert main(["model", "predict", "8,3", "--out", str(tmp_path / "p.npz")]) == 0
 
 
 def standing(path):
@@ -104,7 +104,7 @@ def standing(path):
 @pytest.mark.parametrize(
     ("verb", "option", "path", "what"),
     [
-        (["predict", "8,3"], "--out", "p.txt", "saved as .npz"),
+        (["model", "predict", "8,3"], "--out", "p.txt", "saved as .npz"),
         (["sweep"], "--out", "s.txt", "saved as .npz"),
         (["sweep"], "--out", "none/s.npz", "make it first"),
         (["compare", "run.npz"], "--html", "none/r.html", "make it first"),
@@ -115,7 +115,7 @@ def standing(path):
         (["build"], "--out", "folder", "not a bundle"),
         (["demo"], "--out", "folder/of", "file exists"),
         (["learn", "run.npz"], "--out", "folder", "not a bundle"),
-        (["refit", "run.npz", "--bundle", "b"], "--out", "folder", "not a bundle"),
+        (["model", "refit", "run.npz", "--bundle", "b"], "--out", "folder", "not a bundle"),
     ],
 )
 def test_where_nothing_can_be_written_is_said_before_the_work(verb, option, path, what, tmp_path, capsys):

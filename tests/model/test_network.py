@@ -1,6 +1,9 @@
 """The network pass against onnxruntime on every network that training can make; graphs that only onnxruntime reads."""
 
 import json
+import re
+import subprocess
+import sys
 from dataclasses import replace
 from hashlib import sha256
 
@@ -18,6 +21,7 @@ from torch import nn  # noqa: E402
 from softmap_edge import _core, builtin_model, load_bundle, save_bundle  # noqa: E402
 from softmap_edge.cli import main  # noqa: E402
 from softmap_edge.errors import BundleError  # noqa: E402
+from softmap_edge.model import onnx as onnx_of_model  # noqa: E402
 from softmap_edge.model.onnx import run_onnxruntime  # noqa: E402
 from softmap_edge.robot.motion.kinematics import Kinematics  # noqa: E402
 
@@ -186,6 +190,46 @@ def test_check_says_that_a_graph_is_run_as_a_table(tmp_path, capsys):
     assert main(["check", str(folder), "--trust-onnx", "--json"]) == 0
     told = json.loads(capsys.readouterr().out)["through_onnxruntime"]["prior"]
     assert f"{told['table_off_mm']:.2g} mm off" in said and told["why"] in said
+
+
+def test_check_compares_a_network_of_the_core_with_onnxruntime(tmp_path, capsys, monkeypatch):
+    folder = bundle(tmp_path, foreign("Relu"))
+    assert main(["check", str(folder)]) == 0
+    assert re.search(r"onnxruntime +the prior network: differs by (0|\de-\d+) mm", capsys.readouterr().out)
+    both = onnx_of_model.run_onnxruntime
+    monkeypatch.setattr(onnx_of_model, "run_onnxruntime", lambda content, u: both(content, u) + 0.01)
+    assert main(["check", str(folder)]) == 1
+    assert "prior.onnx: onnxruntime and the core differ by 0.01 mm, allowed is 0.001" in capsys.readouterr().err
+    load_bundle(folder)  # the core alone
+
+
+def test_without_onnxruntime_all_works_but_graphs_that_the_core_does_not_read(tmp_path):
+    """As on a computer that does not have it; nothing that the core runs asks for it."""
+    own, other = bundle(tmp_path / "own", foreign("Relu")), bundle(tmp_path / "other", foreign("Tanh"))
+    code = (
+        "import sys; sys.modules['onnxruntime'] = None\n"
+        "from softmap_edge import load_bundle, save_bundle\n"
+        "from softmap_edge.cli import main\n"
+        "from softmap_edge.errors import BundleError\n"
+        f"model = load_bundle({str(own)!r}); assert model.kind == 'network'\n"
+        f"save_bundle(model, {str(tmp_path / 'again')!r})\n"
+        f"assert main(['predict', '3,-2', '--bundle', {str(own)!r}]) == 0\n"
+        f"assert main(['check', {str(own)!r}]) == 0\n"
+        f"assert main(['check', {str(other)!r}, '--trust-onnx']) == 1\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert "the prior network: not compared, onnxruntime is not installed" in done.stdout
+    assert re.search(r"prior\.onnx: .*'Tanh'.*onnxruntime is not installed; run pip install onnxruntime", done.stderr)
+
+
+def test_a_network_that_the_core_runs_loads_no_onnxruntime(tmp_path):
+    folder = bundle(tmp_path, foreign("Relu"))
+    code = (
+        "import sys, numpy as np; from softmap_edge import load_bundle\n"
+        f"load_bundle({str(folder)!r}).tip(np.zeros((1, 2))); print('onnxruntime' in sys.modules)"
+    )
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "False\n"
 
 
 def test_a_graph_that_jumps_is_no_table(tmp_path):

@@ -23,13 +23,13 @@ here = pytest.fixture(entered)
 
 
 def test_the_template_runs_as_it_is(here, capsys):
-    assert main(["effects", "new", "wobble"]) == 0
+    assert main(["model", "effects", "new", "wobble"]) == 0
     assert "--effects wobble.py" in capsys.readouterr().out
     assert len((here / "wobble.py").read_text().splitlines()) <= 25
-    assert main(["effects", "wobble", "--effects", "wobble.py"]) == 0
+    assert main(["model", "effects", "wobble", "--effects", "wobble.py"]) == 0
     out, err = capsys.readouterr()
     assert "wobble" in out and "wobble.py is code and runs with your rights" in err
-    assert main(["predict", "4,0", "--effects", "wobble.py"]) == 0
+    assert main(["model", "predict", "4,0", "--effects", "wobble.py"]) == 0
     model = builtin_model().with_effects(["wobble"], {"wobble.share": 0.3})
     t, u = record()
     np.testing.assert_allclose(
@@ -40,12 +40,12 @@ def test_the_template_runs_as_it_is(here, capsys):
 @pytest.mark.parametrize(
     ("argv", "says"),
     [
-        (["effects", "new"], "wobble"),
-        (["effects", "new", "gain"], "already"),
-        (["effects", "new", "../up"], "small letters"),
-        (["effects", "new", "there"], "stands here already"),
-        (["effects", "--effects", "none.py"], "no Python file"),
-        (["predict", "1,1", "--effects", "gain"], "softmap effects new"),
+        (["model", "effects", "new"], "wobble"),
+        (["model", "effects", "new", "gain"], "already"),
+        (["model", "effects", "new", "../up"], "small letters"),
+        (["model", "effects", "new", "there"], "stands here already"),
+        (["model", "effects", "--effects", "none.py"], "no Python file"),
+        (["model", "predict", "1,1", "--effects", "gain"], "softmap model effects new"),
     ],
 )
 def test_wrong_use_is_told_in_one_line(here, capsys, argv, says):
@@ -233,13 +233,13 @@ def test_the_verbs_take_it_from_diagnosis_to_comparison(off_centre_run, here, ca
         parameter["value"] *= 1.2
     (here / "d.json").write_text(json.dumps(found))
     assert main(["add", "off_centre_pulley", "--from", "d.json", "--out", "better", *own]) == 0
-    assert main(["refit", "run.npz", "--bundle", "better", "--out", "again", *own]) == 0
+    assert main(["model", "refit", "run.npz", "--bundle", "better", "--out", "again", *own]) == 0
     save_bundle(builtin_model(), here / "plain")
     capsys.readouterr()
     assert main(["compare", "run.npz", "--bundle", "plain", "--bundle", "again", "--json", *own]) == 0
     before, after = json.loads(capsys.readouterr().out)
     assert after["error"]["rms_mm"] < 0.4 * before["error"]["rms_mm"]
-    assert main(["remove", "off_centre_pulley", "--bundle", "again", "--out", "less", *own]) == 0
+    assert main(["model", "remove", "off_centre_pulley", "--bundle", "again", "--out", "less", *own]) == 0
     assert not (here / "less/off_centre_pulley.py").exists()
     # Numbers that were fitted with one file are not taken for another.
     forget_effect("off_centre_pulley")

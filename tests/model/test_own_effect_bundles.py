@@ -60,9 +60,9 @@ def test_code_in_a_bundle_is_not_run_unasked(evil, here, argv, capsys, monkeypat
 def test_an_allowed_bundle_predicts_as_before(evil, here, capsys):
     with pytest.raises(BundleError, match="not run unasked"):
         load_bundle(evil)
-    assert main(["predict", "5,0", "--bundle", "bundle", "--json", "--effects", "bundle/mine.py"]) == 0
+    assert main(["model", "predict", "5,0", "--bundle", "bundle", "--json", "--effects", "bundle/mine.py"]) == 0
     tip = json.loads(capsys.readouterr().out)["tip_mm"]
-    assert main(["predict", "6,0", "--json"]) == 0
+    assert main(["model", "predict", "6,0", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["tip_mm"] == tip  # 5 mm and a fifth
     assert (here / "RAN").read_text() == "x"
     again = save_bundle(load_bundle(evil), here / "again")
@@ -78,7 +78,7 @@ def test_a_terminal_is_asked(evil, here, answer, code, capsys, monkeypatch):
     terminal.isatty = lambda: True
     monkeypatch.setattr("sys.stdin", terminal)
     monkeypatch.setattr("sys.stderr.isatty", lambda: True, raising=False)
-    assert main(["predict", "5,0", "--bundle", "bundle"]) == code
+    assert main(["model", "predict", "5,0", "--bundle", "bundle"]) == code
     err = capsys.readouterr().err
     manifest = json.loads((evil / "manifest.json").read_text())
     assert manifest["own_effects"]["mine"] in err and "bundle/mine.py" in err and "[y/N]" in err

@@ -144,7 +144,11 @@ def test_a_damaged_bundle(verb, tmp_path, monkeypatch, capsys):
     data = bytearray(Path("finger/prior.npz").read_bytes())
     data[len(data) // 2] ^= 0xFF
     Path("finger/prior.npz").write_bytes(data)
-    words = {"track": ["track", "O"], "move": ["move", "1,1", "--hold"], "teleop": ["teleop", "--page", "none"]}[verb]
+    words = {
+        "track": ["track", "O"],
+        "move": ["servo", "move", "1,1", "--hold"],
+        "teleop": ["teleop", "--page", "none"],
+    }[verb]
     with bench() as (bus, rig, limits):
         rig.write("rig.toml")
         assert main([*words, "--rig", "rig.toml", "--bundle", "finger"]) == 2

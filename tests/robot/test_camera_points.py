@@ -12,7 +12,7 @@ import pytest
 from page import blocks, lines
 from waiting import until
 
-from softmap_edge.commands import VERBS
+from softmap_edge.commands import COMMANDS
 from softmap_edge.errors import LinkError
 from softmap_edge.robot.link import points as points_udp
 from softmap_edge.robot.link.frames import Frame, on_host
@@ -234,13 +234,15 @@ PAGE = (Path(__file__).parents[2] / "docs/do/camera.md").read_text(encoding="utf
 def test_what_the_page_says_can_be_typed(tmp_path, monkeypatch):
     """Its Python runs; its commands are understood (what they do is shown by the tests of each verb)."""
     monkeypatch.chdir(tmp_path)
-    names = {verb.name: verb for verb in VERBS}
+    names = {command.name: command for command in COMMANDS}
     for language, text in blocks(PAGE):
         if language == "python":
             exec(compile(text, "docs/do/camera.md", "exec"), {})
         for words in lines(text) if language == "" else ():
             parser = argparse.ArgumentParser(exit_on_error=False)
-            getattr(importlib.import_module(names[words[1]].module), f"{words[1]}_arguments")(parser)
-            parser.parse_args(words[2:])
+            two = " ".join(words[1:3])
+            command = names.get(two) or names[words[1]]
+            getattr(importlib.import_module(command.module), f"{command.function}_arguments")(parser)
+            parser.parse_args(words[1 + len(command.name.split()) :])
     assert len(read_key(tmp_path / "camera.key")) == 32
     assert f"at most {MOST_POINTS} points" in PAGE

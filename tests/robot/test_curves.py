@@ -66,7 +66,7 @@ def test_a_figure_of_a_csv_has_its_corners(tmp_path):
         ("a.csv", "1,2\n1,2\n", "the same"),
         ("a.csv", "1,2\nnan,2\n", "finite"),
         ("a.csv", "0,1e308\n1,-1e308\n", "within ±1e\\+06"),
-        ("a.svg", '<svg><path d="M0 4h10V0"/></svg>', r"drawings are not read; .* \.csv .* docs/track\.md"),
+        ("a.svg", '<svg><path d="M0 4h10V0"/></svg>', r"drawings are not read; .* \.csv .* docs/do/track\.md"),
     ],
 )
 def test_files_that_hold_no_figure_are_refused(tmp_path, name, text, said):

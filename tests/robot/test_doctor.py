@@ -45,7 +45,7 @@ def test_a_bench_that_is_well(tmp_path, capsys, any_computer):
         assert named(lines, "home of servo 2").found == "proved since power-up, at 2000"
         assert named(lines, "ceiling").state == WARNING and "softmap servo pull" in named(lines, "ceiling").do
         assert bus.state()[1] == before, "nothing moved, no torque"
-        told = ["doctor", "--rig", str(tmp_path / "rig.toml"), "--json"]
+        told = ["servo", "doctor", "--rig", str(tmp_path / "rig.toml"), "--json"]
         assert main(told) == 0, "a warning is no fault"
         document = json.loads(capsys.readouterr().out)
         assert document["schema"] == "softmap.doctor/1" and document["well"] is True
@@ -119,7 +119,7 @@ def test_a_bundle_without_calibration(tmp_path):
     save_bundle(builtin_model(), tmp_path / "b")
     lines = doctor.examine(bundle=tmp_path / "b").lines
     assert named(lines, "bundle").state == OK and named(lines, "safety.toml") == doctor.Line("safety.toml", OK, "there")
-    assert named(lines, "calibration").state == FAULT and "softmap calibrate" in named(lines, "calibration").do
+    assert named(lines, "calibration").state == FAULT and "softmap model calibrate" in named(lines, "calibration").do
 
 
 def test_an_emergency_stop_that_cannot_be_asked_is_a_fault(tmp_path):
@@ -278,11 +278,11 @@ def test_a_look_that_fails_is_a_line(monkeypatch):
     monkeypatch.setattr(host, "versions", versions)
     found = doctor.examine()
     assert found.lines[0].state == FAULT and "ZeroDivisionError: by chance" in found.lines[0].found
-    assert not found.well and main(["doctor"]) == 1
+    assert not found.well and main(["servo", "doctor"]) == 1
 
 
 def test_as_text(capsys, any_computer):
-    assert main(["doctor"]) == 0
+    assert main(["servo", "doctor"]) == 0
     said = capsys.readouterr().out
     assert "ok       python: 3." in said and said.endswith(f"{2 + len(host.NEEDED)} ok, 0 warnings, 0 faults\n")
 

@@ -57,9 +57,9 @@ DRIVES = {
     "record": [
         "record", "commands.csv", *ON, "--camera", f"udp://:{CAMERA}", "--out", "run.npz", "--record", "record.mcap",
     ],
-    "move": ["move", "2,-1", *ON, "--hold", "--seconds", "100"],
-    "jog by keys": ["move", "--rig", "rig.toml"],
-    "jog by ticks": ["move", "--rig", "rig.toml", "--servo", "1", "--by", "290", "--hold"],
+    "move": ["servo", "move", "2,-1", *ON, "--hold", "--seconds", "100"],
+    "jog by keys": ["servo", "move", "--rig", "rig.toml"],
+    "jog by ticks": ["servo", "move", "--rig", "rig.toml", "--servo", "1", "--by", "290", "--hold"],
 }  # fmt: skip
 
 
@@ -95,7 +95,7 @@ def test_the_key_switches_torque_off_at_once(robot, verb):
 
 def test_without_a_terminal_nothing_is_said(robot):
     bus, _, folder = robot
-    words = ["move", "1,-1", *ON, "--hold", "--seconds", "0.5"]
+    words = ["servo", "move", "1,-1", *ON, "--hold", "--seconds", "0.5"]
     done = subprocess.run([SOFTMAP, *words], cwd=folder, stdin=subprocess.DEVNULL, capture_output=True, text=True)
     assert done.returncode == 0 and done.stderr == "" and not torque(bus)
 

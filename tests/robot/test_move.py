@@ -20,13 +20,14 @@ from waiting import until
 from softmap_edge import builtin_model, save_bundle
 from softmap_edge.cli import main
 from softmap_edge.commands.move import STEP
-from softmap_edge.errors import ServoError
+from softmap_edge.errors import ServoError, SoftmapError
 from softmap_edge.robot import doctor
 from softmap_edge.robot.commissioning import setup
-from softmap_edge.robot.commissioning.jog import Held, Jog
+from softmap_edge.robot.commissioning.jog import Held, Jog, most_travel
 from softmap_edge.robot.commissioning.keys import Keys
 from softmap_edge.robot.servo.bus import opened
 from softmap_edge.robot.servo.home_mark import marked
+from softmap_edge.robot.servo.rig import read_rig
 from softmap_edge.robot.servo.rig_ceiling import Ceiling
 from softmap_edge.robot.servo.terminal import named
 
@@ -113,6 +114,42 @@ class LetGo(Held):
         return time.monotonic() > self.end
 
 
+@pytest.mark.parametrize("name", ["travel", "slew", "current"])
+@pytest.mark.parametrize("value", [-5.0, float("nan"), float("inf"), 1e9, "far"])
+def test_a_limit_of_a_jog_that_is_none_is_refused(name, value):
+    with bench() as (_, rig, _), pytest.raises(ServoError, match=f"jog_{name}"):
+        Jog(rig, **{name: value})
+
+
+@pytest.mark.parametrize("value", ["-5", "0", "0.5", "nan", "inf", "1e9", "'300'", "true", "[300]"])
+def test_a_travel_of_the_bench_that_is_none_is_refused(tmp_path, value):
+    with bench() as (_, rig, _):
+        rig.write(tmp_path / "rig.toml")
+    text = (tmp_path / "rig.toml").read_text()
+    (tmp_path / "rig.toml").write_text(f"{text}\n[ceiling]\njog_travel = {value}\n")
+    with pytest.raises(SoftmapError, match="ceiling: jog_travel"):
+        read_rig(tmp_path / "rig.toml")
+    (tmp_path / "rig.toml").write_text(f"{text}\n[ceiling]\njog_travel = 120.5\n")
+    assert most_travel(read_rig(tmp_path / "rig.toml")) == 120.5
+
+
+@pytest.mark.parametrize(
+    ("servo", "ticks", "said"),
+    [
+        (2, 10.0, "no servo number 2; the rig has 2"),
+        (-1, 10.0, "no servo number -1"),
+        (0, float("nan"), "a jog of nan ticks"),
+        (1, float("-inf"), "a jog of -inf ticks"),
+    ],
+)
+def test_a_jog_of_no_servo_or_no_number_is_refused_and_nothing_moves(servo, ticks, said):
+    with bench() as (bus, rig, _), Jog(rig) as jog:
+        for move in (lambda: jog.press(servo, ticks), lambda: jog.by(servo, ticks, Held())):
+            with pytest.raises(ServoError, match=said):
+                move()
+        assert jog.robot.state == "connected" and not torque(bus)
+
+
 def test_who_lets_go_stops_it():
     with bench() as (bus, rig, _), Jog(rig) as jog:
         jog.by(0, 300, LetGo(0.5))
@@ -136,7 +173,7 @@ def test_one_jog_by_options(tmp_path, capsys):
     with bench() as (bus, rig, _):
         file = str(tmp_path / "rig.toml")
         rig.write(file)
-        assert main(["move", "--rig", file, "--servo", "2", "--by", "-120", "--hold", "--json"]) == 0
+        assert main(["servo", "move", "--rig", file, "--servo", "2", "--by", "-120", "--hold", "--json"]) == 0
         one, two = json.loads(capsys.readouterr().out)["servos"]
         assert two["to"] - two["from"] == pytest.approx(-120, abs=6) and abs(one["to"] - one["from"]) < 6
         assert not torque(bus)
@@ -147,16 +184,16 @@ def test_one_jog_by_options(tmp_path, capsys):
             (["--servo", "1", "--by", "50"], "no terminal whose keys could be held; start it in one, or give --hold"),
             (["1,2,3", "--hold"], "the bundle holds no calibration"),
         ):
-            assert main(["move", "--rig", file, *more]) == 2
+            assert main(["servo", "move", "--rig", file, *more]) == 2
             assert said in capsys.readouterr().err
 
 
 def test_to_a_command_and_back(capsys):
-    assert main(["move", "2,-1", "--sim", "--hold", "--seconds", "0.6", "--json"]) == 0
+    assert main(["servo", "move", "2,-1", "--sim", "--hold", "--seconds", "0.6", "--json"]) == 0
     document = json.loads(capsys.readouterr().out)
     assert document["done_mm"] == pytest.approx([2.0, -1.0])
     assert document["at_mm"] == pytest.approx([2.0, -1.0], abs=5 / TICKS_PER_MM)
-    assert main(["move", "40,1", "--sim", "--hold", "--seconds", "0"]) == 1
+    assert main(["servo", "move", "40,1", "--sim", "--hold", "--seconds", "0"]) == 1
     told, error = capsys.readouterr()
     assert "40.00, 1.00 mm is outside the window, the nearest is 16.00, 1.00 mm" in error
     assert "find what holds" not in error, "it came where it was sent"
@@ -165,13 +202,13 @@ def test_to_a_command_and_back(capsys):
     assert [float(one) for one in came.groups()] == pytest.approx([16.0, 1.0], abs=0.15), (
         "it is there before it turns back"
     )
-    assert main(["move", "1e308,1", "--sim", "--hold"]) == 2
+    assert main(["servo", "move", "1e308,1", "--sim", "--hold"]) == 2
     assert "1e308,1 for 3 s; commands of up to 10000 mm" in capsys.readouterr().err
-    assert main(["move", "2", "--sim", "--hold"]) == 2
+    assert main(["servo", "move", "2", "--sim", "--hold"]) == 2
     assert "1 numbers for 2 servos" in capsys.readouterr().err
-    assert main(["move", "a,b", "--sim"]) == 2
+    assert main(["servo", "move", "a,b", "--sim"]) == 2
     assert "is no command" in capsys.readouterr().err
-    assert main(["move", "1,1", "--sim"]) == 2
+    assert main(["servo", "move", "1,1", "--sim"]) == 2
     assert "no terminal to ask at; --hold says it instead" in capsys.readouterr().err
 
 
@@ -199,7 +236,7 @@ def types(ours, key, seconds):
 
 @contextlib.contextmanager
 def jogging(terminal, *on):
-    """Give the process of `softmap move` at a terminal, once it reads keys."""
+    """Give the process of `softmap servo move` at a terminal, once it reads keys."""
     with subprocess.Popen(
         [SOFTMAP, "move", *on, "--json"], stdin=terminal[1], stdout=subprocess.PIPE, stderr=subprocess.PIPE
     ) as process:
@@ -313,7 +350,7 @@ def weak(tmp_path):
 @pytest.mark.parametrize("command, servos", [("1,0", "1"), ("0,-1.2", "2"), ("-1,1", "12")])
 def test_a_command_that_is_not_reached_is_no_success(weak, capsys, command, servos):
     _, rig, bundle = weak
-    argv = ["move", f"--rig={rig}", "--bundle", bundle, "--hold", "--seconds", "0.2"]
+    argv = ["servo", "move", f"--rig={rig}", "--bundle", bundle, "--hold", "--seconds", "0.2"]
     assert main([*argv, "--json", "--", command]) == 1
     told = capsys.readouterr()
     document = json.loads(told.out)
@@ -325,14 +362,14 @@ def test_a_command_that_is_not_reached_is_no_success(weak, capsys, command, serv
 
 def test_a_command_that_is_reached_under_the_same_cap_is_one(weak, capsys):
     _, rig, bundle = weak
-    assert main(["move", "0.3,-0.3", "--rig", rig, "--bundle", bundle, "--hold", "--seconds", "0.2"]) == 0
+    assert main(["servo", "move", "0.3,-0.3", "--rig", rig, "--bundle", bundle, "--hold", "--seconds", "0.2"]) == 0
     assert "came to" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("by, code", [("280", 1), ("-280", 1), ("100", 0)])
 def test_a_jog_that_is_not_reached_is_no_success(weak, capsys, by, code):
     _, rig, _ = weak
-    assert main(["move", "--rig", rig, "--servo", "2", f"--by={by}", "--hold"]) == code
+    assert main(["servo", "move", "--rig", rig, "--servo", "2", f"--by={by}", "--hold"]) == code
     told = capsys.readouterr()
     assert ("servo 2 stands" in told.err) == (code == 1) and "servo 1 stands" not in told.err
     assert "torque is off" in told.out
@@ -342,7 +379,9 @@ def test_a_jog_blocked_on_its_way_is_no_success(capsys, tmp_path):
     with bench() as (bus, rig, _):
         rig.write(tmp_path / "rig.toml")
         bus.damage(0, jammed=True)
-        assert main(["move", "--rig", str(tmp_path / "rig.toml"), "--servo", "1", "--by", "200", "--hold"]) != 0
+        assert (
+            main(["servo", "move", "--rig", str(tmp_path / "rig.toml"), "--servo", "1", "--by", "200", "--hold"]) != 0
+        )
         assert "servo 1" in capsys.readouterr().err and angles(bus)[0] == pytest.approx(HOME, abs=1)
 
 
@@ -353,7 +392,7 @@ def test_a_servo_that_does_not_turn_loses_its_proof_of_home(servo, tmp_path, cap
     with bench() as (bus, rig, _):
         rig.write(file)
         bus.damage(servo, stuck=True)
-        assert main(["move", "--rig", file, "--servo", str(servo + 1), "--by", "100", "--hold"]) == 1
+        assert main(["servo", "move", "--rig", file, "--servo", str(servo + 1), "--by", "100", "--hold"]) == 1
         said = capsys.readouterr().err
         assert f"servo {servo + 1} did not turn at all" in said and f"`softmap servo home --rig {file}`" in said
         homes = {line.name: line.state for line in doctor.examine(rig=file).lines if line.name.startswith("home of")}
@@ -376,9 +415,9 @@ def test_a_jog_that_its_window_ends_is_off_its_goal(tmp_path, capsys):
     file = str(tmp_path / "rig.toml")
     with bench() as (_, rig, _):
         replace(rig, servos=tuple(replace(one, low=-100, high=50) for one in rig.servos)).write(file)
-        assert main(["move", "--rig", file, "--servo", "2", "--by", "200", "--hold"]) == 1
+        assert main(["servo", "move", "--rig", file, "--servo", "2", "--by", "200", "--hold"]) == 1
         assert "was asked to go to 2200 ticks, outside its window of 1900 to 2050" in capsys.readouterr().err
-        assert main(["move", "--rig", file, "--servo", "2", "--by", "-90", "--hold"]) == 0
+        assert main(["servo", "move", "--rig", file, "--servo", "2", "--by", "-90", "--hold"]) == 0
 
 
 def test_a_fault_at_the_command_line_says_what_to_type(tmp_path, capsys):
@@ -388,11 +427,11 @@ def test_a_fault_at_the_command_line_says_what_to_type(tmp_path, capsys):
     with bench() as (bus, rig, _):
         rig.write(file)
         threading.Timer(2.0, lambda: bus.heat(0, 69.0)).start()
-        assert main(["move", "1,1", "--rig", file, "--bundle", finger, "--hold", "--seconds", "9"]) == 2
+        assert main(["servo", "move", "1,1", "--rig", file, "--bundle", finger, "--hold", "--seconds", "9"]) == 2
         said = capsys.readouterr().err
         assert re.search(
             r"servo 1 is too hot: 6\d °C, allowed is below 65 °C\); let it cool .*run the same command", said
         )
         assert said.count("too hot") == 1 and not re.search("acknowledge|engage|Controller", said)
         bus.heat(0, 30.0)
-        assert main(["move", "1,1", "--rig", file, "--bundle", finger, "--hold", "--seconds", "0"]) == 0
+        assert main(["servo", "move", "1,1", "--rig", file, "--bundle", finger, "--hold", "--seconds", "0"]) == 0

@@ -142,7 +142,7 @@ def test_what_a_recording_lacks_is_told(recorded, tmp_path, capsys):
         file.write_bytes(bad)
         short = read_recording(file).short
         assert short is not None, place
-        assert main(["replay", str(file)]) == 1
+        assert main(["servo", "replay", str(file)]) == 1
         assert f"less.mcap is {short.removesuffix('; record again')}" in capsys.readouterr().err
     file.write_bytes(whole[:quarter] + whole[record[len(record) // 4 + 1] :])
     assert read_recording(file).short.startswith("damaged (after message")
@@ -160,11 +160,11 @@ def test_a_changed_byte_is_told_whatever_it_changes(recorded, tmp_path, capsys):
     other = counted[:-1] + (b"8" if counted.endswith(b"7") else b"7")
     for old, new in ((counted, other), (b'"current_mA"', b'"current_mB"')):
         file.write_bytes(whole[:start] + middle.replace(old, new) + whole[start + len(middle) :])
-        main(["replay", str(file)])
+        main(["servo", "replay", str(file)])
         told = capsys.readouterr()
         assert "changed.mcap" in told.err and "damaged" in told.err, (old, told)
     file.write_bytes(whole[:start] + middle.replace(b'"overruns":', b'"overruns";') + whole[start + len(middle) :])
-    assert main(["replay", str(file)]) == 1
+    assert main(["servo", "replay", str(file)]) == 1
     assert f"message {len(messages) // 2} is no JSON" in capsys.readouterr().err
     assert len(read_recording(file).periods) == len(messages) // 2 - 1
 
@@ -176,7 +176,7 @@ def test_periods_that_vanish_before_a_clean_end_are_told(recorded, tmp_path, cap
     *_, third, second, last = (whole.rindex(message) + len(message) for message in messages)
     for start, end in ((second, last), (third, last)):
         file.write_bytes(whole[:start] + whole[end:])
-        assert main(["replay", str(file)]) == 1
+        assert main(["servo", "replay", str(file)]) == 1
         assert "less.mcap is damaged: the checksum of its data does not match" in capsys.readouterr().err
 
 

@@ -80,15 +80,15 @@ def test_a_number_that_changed_somewhere_is_refused_but_for_replay(copied, tmp_p
     """The remedy that the line names leads out."""
     changed(copied, b'"overruns":', b'"Overruns":')  # a key that no run needs
     line = "drive.mcap is damaged: the checksum of its data does not match, so any of its "
-    for words, code in (["show", 2], ["compare", 2], ["diagnose", 2], ["predict", 2], ["check", 1]):
+    for words, code in (["show", 2], ["compare", 2], ["diagnose", 2], ["model", "predict", 2], ["check", 1]):
         assert main([words, str(copied)]) == code, words
         said = capsys.readouterr().err
         assert said.count("\n") == 1 and line in said, said
     assert main(["check", str(copied), "--json"]) == 1
     assert '"sound": false' in capsys.readouterr().out
     out = tmp_path / "RUN.npz"
-    assert f"softmap replay {copied} --run RUN.npz" in said
-    assert main(["replay", str(copied), "--run", str(out)]) == 1
+    assert f"softmap servo replay {copied} --run RUN.npz" in said
+    assert main(["servo", "replay", str(copied), "--run", str(out)]) == 1
     assert line in capsys.readouterr().err and len(Run.load(out).t) > 50
 
 

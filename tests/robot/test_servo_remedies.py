@@ -79,7 +79,7 @@ def at_another_rate(bus: _core.EmulatedBus) -> None:
 
 def outside(bus: object) -> None:
     for _ in range(4):
-        assert main(["move", "--servo", "1", "--by", "280", "--rig", "rig.toml", "--hold"]) == 0
+        assert main(["servo", "move", "--servo", "1", "--by", "280", "--rig", "rig.toml", "--hold"]) == 0
 
 
 def plain_bundle(bus: object) -> None:
@@ -104,7 +104,7 @@ CASES = [
     Case("the doctor on that", lambda bus: bus.reset(1), DOCTOR, ["servo home"], code=1),
     Case("no home", changed(home=None), DRIVE, ["servo home"]),
     Case("no home, limits", changed(home=None), ("servo", "limits", *DRIVE[2:6]), ["servo home"], code=1),
-    Case("a finger that is bent", changed(home=HOME - 500), HOMED, ["move", "move"]),
+    Case("a finger that is bent", changed(home=HOME - 500), HOMED, ["servo", "move", "move"]),
     Case("a place outside the window", outside, DRIVE, ["move"]),
     Case(
         "a servo that is gone", lambda bus: bus.damage(1, mute=True), READ, ["servo scan"],
@@ -182,7 +182,7 @@ def test_an_unmeasured_current_is_measured_by_the_command_named(tmp_path, monkey
     with bench() as (bus, rig, _):
         rig.write("rig.toml")
         changed(low=-150, high=150)(bus)
-        argv = ["doctor", "--rig", "rig.toml", "--bundle", "finger"]
+        argv = ["servo", "doctor", "--rig", "rig.toml", "--bundle", "finger"]
         code, message = said_by(argv, capsys)
         assert code == 0 and "no current was measured for servo 1, 2" in message
         command = next(one for one, _ in NAMED.findall(message) if one.startswith("servo pull"))

@@ -242,13 +242,13 @@ def test_a_recording_is_decided_again_and_written_as_a_run(tmp_path, capsys):
     assert code == 0 and document["otherwise"] == [] and document["periods"] > 5
     assert Run.load(out).hash() == read_recording(file).run().hash()
     before = out.read_bytes()
-    assert main(["replay", str(file), "--run", str(out)]) == 2
+    assert main(["servo", "replay", str(file), "--run", str(out)]) == 2
     assert "a run stands there and would be lost; give another name or --force" in capsys.readouterr().err
-    assert main(["replay", str(file), "--run", str(out), "--force"]) == 0 and out.read_bytes() == before
+    assert main(["servo", "replay", str(file), "--run", str(out), "--force"]) == 0 and out.read_bytes() == before
     capsys.readouterr()
-    assert main(["replay", str(file)]) == 0
+    assert main(["servo", "replay", str(file)]) == 0
     assert "every one decided alike" in capsys.readouterr().out
-    assert main(["replay", str(out)]) == 2
+    assert main(["servo", "replay", str(out)]) == 2
     assert "holds no periods of a control loop" in capsys.readouterr().err
 
 

@@ -116,6 +116,8 @@ def test_a_cause_that_is_sensed_is_named_with_value_and_limit():
     said = words.denied("trouble(voltage)", report, limits)
     assert said.startswith("servo 9 has a supply voltage of 2.9 V, allowed are 3.5 to 7 V; check the power supply")
     said = words.denied("outside", report | {"position": [950, 10]}, limits)
-    assert said.startswith("servo 4 stands at 950 ticks, outside its window of 0 to 900; turn it back by `softmap move")
+    assert said.startswith(
+        "servo 4 stands at 950 ticks, outside its window of 0 to 900; turn it back by `softmap servo move"
+    )
     assert "check the cables" in words.denied("trouble(late)", report, limits)
     assert "too hot" in words.denied("trouble(hot)", {"temperature_C": [None]}, limits), "a report without values"

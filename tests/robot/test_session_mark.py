@@ -71,7 +71,7 @@ def test_the_start_after_a_killed_program_says_so(marks, tmp_path):
         assert not torque(bus)
         said = (
             r"the last session of this bench \(-c, begun .*\) ended without shutting down: its program was killed, and "
-            r"the control loop released the servos; `softmap replay \S*killed.mcap` reads what it recorded"
+            r"the control loop released the servos; `softmap servo replay \S*killed.mcap` reads what it recorded"
         )
         with pytest.warns(SessionWarning, match=said), Controller(rig, calibration(), limits):
             pass

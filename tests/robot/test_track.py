@@ -122,6 +122,24 @@ def test_the_verb_tracks_on_an_emulated_robot_and_draws(tmp_path, capsys):
     assert (tmp_path / "o.svg").stat().st_size < 500_000
 
 
+BLOCK = "next --standard --out next.csv"
+
+
+@pytest.mark.parametrize(
+    ("duration", "said"),
+    [("2", ["frames are too few for a diagnosis, which needs 60 or more", f"next: softmap {BLOCK}"]),
+     ("5", ["o.seen: written", "next: softmap diagnose o.mcap"])],
+)  # fmt: skip
+def test_the_last_line_is_a_command_that_can_succeed(duration, said, tmp_path, monkeypatch, capsys):
+    """A record of too few frames leads to the block to record, not to a diagnosis that must fail."""
+    monkeypatch.chdir(tmp_path)
+    options = ["--amplitude", "5", "--duration", duration, "--rate", "20", "--record", "o.mcap"]
+    assert main(["track", "O", "--sim", *options]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[-2].endswith(said[0]) and lines[-1] == said[1]
+    assert main(lines[-1].removeprefix("next: softmap ").split()) == 0
+
+
 def test_a_plan_is_drawn_with_its_commands_and_a_workspace_from_its_rest(tmp_path, capsys):
     plan, reach = tmp_path / "plan.svg", tmp_path / "reach.svg"
     assert main(["track", "O", "--plan", "--amplitude", "5", "--rate", "20", "--picture", str(plan)]) == 0

@@ -280,7 +280,11 @@ def test_a_bundle_is_replaced_only_by_force(run, tmp_path, capsys):
         message = capsys.readouterr().err
         assert "--force" in message and message.count("\n") == 1
     bundle = ["--bundle", str(tmp_path / "arm"), "--out", str(tmp_path / "arm")]
-    for again in (["add", "lag", "--from", "none.json"], ["remove", "lag"], ["refit", str(tmp_path / "run.npz")]):
+    for again in (
+        ["add", "lag", "--from", "none.json"],
+        ["model", "remove", "lag"],
+        ["model", "refit", str(tmp_path / "run.npz")],
+    ):
         assert main([*again, *bundle]) == 2
         assert "--force" in capsys.readouterr().err
     assert main([*verb, "--force"]) == 0

@@ -101,7 +101,7 @@ REFUSED = {
         lambda f: f | {"vertices": f["vertices"] + [30.0, 0, 0]},
         "frame of reference is 30 mm off",
     ),
-    "in the frame of a camera": (lambda f: f | {"vertices": f["vertices"] + [0, 0, 900.0]}, "`softmap align`"),
+    "in the frame of a camera": (lambda f: f | {"vertices": f["vertices"] + [0, 0, 900.0]}, "`softmap run align`"),
     "clouds": (
         lambda f: (
             {k: v for k, v in f.items() if k != "vertices"}
@@ -111,7 +111,7 @@ REFUSED = {
     ),
     "ticks only": (
         lambda f: {k: v for k, v in f.items() if k != "command"} | {"ticks": np.rint(f["command"] * 100).astype(int)},
-        "`softmap calibrate RUN --bundle DIR --out DIR2` calibrates a model of this robot",
+        "`softmap model calibrate RUN --bundle DIR --out DIR2` calibrates a model of this robot",
     ),
     "nothing seen": (lambda f: {k: v for k, v in f.items() if k != "vertices"}, "the run holds neither"),
 }

@@ -63,7 +63,7 @@ axes = ["x", "-z", "y"]
 def test_the_case(tmp_path, capsys):
     found = guess_mapping([CASE])
     assert '["tag_x_1", "tag_y_1"]' in found.text and any("in a plane" in line for line in found.assumed)
-    assert not any("softmap align" in line for line in found.unknown)  # it would refuse such a run
+    assert not any("softmap run align" in line for line in found.unknown)  # it would refuse such a run
     done = import_logs([CASE], mapped(tmp_path, found.text))
     assert done.run.markers.shape == (40, 2, 3) and not done.run.markers[..., 1].any() and done.doubts == ()
     assert unmeasured(done.run) == 1 and any("y of the base frame is not measured" in note for note in done.notes)

@@ -60,7 +60,7 @@ def named_in(text: str) -> list[list[str]]:
     plain = [match.split() for match in PLAIN.findall(COMMAND.sub("", line))]  # a file's first line may look like one
     if not plain:
         return quoted
-    known = set(verbs())
+    known = {name.split()[0] for name in verbs()}
     return [*quoted, *(words for words in plain if words[0] in known or any(w.startswith("--") for w in words))]
 
 
@@ -92,10 +92,11 @@ def rust_texts(file: Path) -> Iterator[tuple[int, str]]:
 def fault(words: tuple[str, ...]) -> str | None:
     """Return what is wrong with a command, None if the parser takes it."""
     words = tuple(word for word in words if not re.fullmatch(f"({HOLE}){{2,}}", word))  # words that are computed
-    if words[0] not in verbs():
-        return None if words[0] in (*ELSEWHERE, HELP) else f"there is no command '{words[0]}'"
-    parser = parser_of(verbs()[words[0]])
-    argv, rest = [], list(words[1:])
+    name = " ".join(words[:2]) if " ".join(words[:2]) in verbs() else words[0]
+    if name not in verbs():
+        return None if words[0] in (*ELSEWHERE, HELP) else f"there is no command '{name}'"
+    parser = parser_of(verbs()[name])
+    argv, rest = [], list(words[len(name.split()) :])
     while actions := next((a for a in parser._actions if isinstance(a, argparse._SubParsersAction)), None):
         name = next((word for word in rest if not word.startswith("-")), None)
         if name is None:

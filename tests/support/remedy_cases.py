@@ -150,7 +150,7 @@ CASES = [
     ),
     Remedy(
         "ticks and a model in mm", _ticks_of_a_finger, ["compare", "ticks.npz", "--bundle", "finger"],
-        "softmap calibrate RUN --bundle DIR --out DIR2", [CALIBRATED],
+        "softmap model calibrate RUN --bundle DIR --out DIR2", [CALIBRATED],
         ["compare", "ticks.npz", "--bundle", "calibrated"],
     ),
     Remedy(
@@ -172,26 +172,28 @@ CASES = [
         ["compare", "r.npz", "--bundle", "b"],
     ),
     Remedy(
-        "clouds", write_clouds, ["compare", "clouds.npz"], "softmap register",
-        [["register", "clouds.npz", "--out", "registered.npz"]], ["compare", "registered.npz"],
+        "clouds", write_clouds, ["compare", "clouds.npz"], "softmap run register",
+        [["run", "register", "clouds.npz", "--out", "registered.npz"]], ["compare", "registered.npz"],
     ),
     Remedy(
         "a camera's frame", lambda: _finger(shift=(40.0, 300.0, 700.0)).save("camera.npz"), ["compare", "camera.npz"],
-        "softmap align", [["align", "camera.npz", "--out", "aligned.npz"]], ["compare", "aligned.npz"], code=0,
+        "softmap run align", [["run", "align", "camera.npz", "--out", "aligned.npz"]], ["compare", "aligned.npz"],
+        code=0,
     ),
     Remedy(
         "check of a camera's frame", lambda: _finger(shift=(40.0, 300.0, 700.0)).save("camera.npz"),
-        ["check", "camera.npz"], "softmap align", [["align", "camera.npz", "--out", "aligned.npz"]],
+        ["check", "camera.npz"], "softmap run align", [["run", "align", "camera.npz", "--out", "aligned.npz"]],
         ["check", "aligned.npz"], code=0,
     ),
     Remedy(
         "a frame that was never found", lambda: (_finger(shift=(9.0, 0.0, 0.0)).save("a.npz"), _finger().save("b.npz")),
-        ["align", "a.npz", "--like", "b.npz", "--out", "c.npz"], "softmap align",
-        [["align", "b.npz", "--out", "aligned.npz"]], ["align", "a.npz", "--like", "aligned.npz", "--out", "c.npz"],
+        ["align", "a.npz", "--like", "b.npz", "--out", "c.npz"], "softmap run align",
+        [["run", "align", "b.npz", "--out", "aligned.npz"]],
+        ["run", "align", "a.npz", "--like", "aligned.npz", "--out", "c.npz"],
     ),
     Remedy(
-        "calibrate with effects", lambda: _ticks_of_a_finger(["gain"]), CALIBRATED, "softmap remove",
-        [["remove", "gain", "--bundle", "finger", "--out", "finger", "--force"]], CALIBRATED,
+        "calibrate with effects", lambda: _ticks_of_a_finger(["gain"]), CALIBRATED, "softmap model remove",
+        [["model", "remove", "gain", "--bundle", "finger", "--out", "finger", "--force"]], CALIBRATED,
     ),
     Remedy(
         "no diagnosis", _no_diagnosis, ["add", "--from", "d.json", "--bundle", "plain", "--out", "b"],
@@ -201,12 +203,13 @@ CASES = [
     ),
     Remedy(
         "an effect that is there", lambda: (_with_offset(), _diagnosed()),
-        ["add", "offset", "--from", "d.json", "--bundle", "known", "--out", "b"], "softmap refit",
-        [["refit", "run.npz", "--bundle", "known", "--out", "refitted"]],
+        ["add", "offset", "--from", "d.json", "--bundle", "known", "--out", "b"], "softmap model refit",
+        [["model", "refit", "run.npz", "--bundle", "known", "--out", "refitted"]],
         ["compare", "run.npz", "--bundle", "refitted"],
     ),
     Remedy(
-        "no effect is named", _learned, ["remove", " , ", "--bundle", "bundle", "--out", "b"], "softmap effects",
+        "no effect is named", _learned, ["model", "remove", " , ", "--bundle", "bundle", "--out", "b"],
+        "softmap model effects",
         [["effects"]], ["compare", "run.npz", "--bundle", "bundle"],
     ),
     Remedy(
@@ -220,11 +223,12 @@ CASES = [
         [["learn", "run.npz", "--static", "--out", "b"]], ["compare", "run.npz", "--bundle", "b"],
     ),
     Remedy(
-        "a recording with a wrong checksum", _doubtful, ["compare", "s.mcap"], "softmap replay s.mcap --run RUN.npz",
-        [["replay", "s.mcap", "--run", "r.npz"]], ["compare", "r.npz"],
+        "a recording with a wrong checksum", _doubtful, ["compare", "s.mcap"],
+        "softmap servo replay s.mcap --run RUN.npz",
+        [["servo", "replay", "s.mcap", "--run", "r.npz"]], ["compare", "r.npz"],
     ),
     Remedy(
-        "a file that no loop recorded", lambda: Path("x.mcap").write_bytes(b""), ["replay", "none.mcap"],
+        "a file that no loop recorded", lambda: Path("x.mcap").write_bytes(b""), ["servo", "replay", "none.mcap"],
         "softmap track --record FILE.mcap", [["track", "O", "--sim", "--duration", "3", "--record", "s.mcap"]],
         ["replay", "s.mcap"],
     ),
@@ -239,8 +243,8 @@ CASES = [
         ["run", "join", "a.npz", "rest.npz", "--out", "both.npz"], code=0,
     ),
     Remedy(
-        "a new effect without a name", lambda: None, ["effects", "new"], "softmap effects new wobble",
-        [["effects", "new", "wobble"]], ["effects", "wobble", "--effects", "wobble.py"],
+        "a new effect without a name", lambda: None, ["model", "effects", "new"], "softmap model effects new wobble",
+        [["model", "effects", "new", "wobble"]], ["model", "effects", "wobble", "--effects", "wobble.py"],
     ),
 ]  # fmt: skip
 

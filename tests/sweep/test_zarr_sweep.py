@@ -102,7 +102,7 @@ def test_the_split_follows_splitmix64(store):
 
 def test_a_killed_sweep_loses_at_most_a_chunk_and_goes_on(finger_file, tmp_path, capsys):
     out = tmp_path / "killed.zarr"
-    argv = ["sweep", finger_file, "--steps", "7", "--chunk", "5", "--out", str(out)]
+    argv = ["model", "sweep", finger_file, "--steps", "7", "--chunk", "5", "--out", str(out)]
     code = "import sys; from softmap_edge.cli import main; sys.exit(main())"
     with subprocess.Popen([sys.executable, "-c", code, *argv]) as process:
         try:
@@ -291,13 +291,13 @@ def test_what_is_no_store_is_left_alone(finger_file, tmp_path, capsys):
         (["--out", str(tmp_path / "a.zarr"), "--chunk", "0"], "give 1 command or more"),
         (["--out", str(tmp_path / "none" / "a.zarr")], "make it first"),
     ):
-        assert main(["sweep", finger_file, *argv]) == 2
+        assert main(["model", "sweep", finger_file, *argv]) == 2
         assert says in capsys.readouterr().err
 
 
 def test_without_the_training_package_one_line_says_what_to_install(finger_file, monkeypatch, tmp_path, capsys):
     monkeypatch.setitem(sys.modules, "softmap_training.sweeps", None)
-    assert main(["sweep", finger_file, "--out", str(tmp_path / "a.zarr")]) == 2
+    assert main(["model", "sweep", finger_file, "--out", str(tmp_path / "a.zarr")]) == 2
     said = capsys.readouterr().err
     assert "pip install softmap-training" in said and said.count("\n") == 1
 

@@ -299,7 +299,7 @@ def test_clouds_whose_base_stands_off_are_judged_in_the_frame_of_their_base(file
     run, true = recorded(24, 5)
     stood = in_frame(run, RigidPose(rotation(np.radians([1.2, -0.7, 0.0])), np.array([1.0, -0.8, 0.0])), np.zeros(6))
     there, moved = (Recording.of(one, MODEL, true) for one in (run, stood))
-    assert there.remarks == [] and "softmap align" in moved.remarks[0]
+    assert there.remarks == [] and "softmap run align" in moved.remarks[0]
     exact = [judge.judge("x", OFF).errors["surface"].mean() for judge in (there, moved)]
     assert exact[1] < exact[0] + 0.1
 

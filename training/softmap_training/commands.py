@@ -8,8 +8,13 @@ from softmap_edge.commands import Command
 def verbs() -> list[Command]:
     """Return the verbs to add."""
     return [
-        Command("train", "make a model", "train a prior or a residual network", "softmap_training.train_verb"),
         Command(
-            "evaluate", "understand", "models side by side, with the paper's figures", "softmap_training.evaluate_verb"
+            "train", "make or change a model", "train a prior or a residual network", "softmap_training.train_verb"
+        ),
+        Command(
+            "evaluate",
+            "understand what is missing",
+            "models side by side, with the paper's figures",
+            "softmap_training.evaluate_verb",
         ),
     ]

@@ -343,7 +343,7 @@ def check_set(base: Model, commands: Floats, points: Floats) -> None:
     if not largest < BIGGEST * length:
         raise TrainingError(
             f"a point of the set is {largest:.3g} mm from the base of a robot of {length:.3g} mm: it is damaged; make "
-            "it again (`softmap sweep`)"
+            "it again (`softmap model sweep`)"
         )
     if not np.ptp(points, axis=0).any():
         raise TrainingError(f"all {len(points)} shapes of the set are the same; sweep commands that move the finger")

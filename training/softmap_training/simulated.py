@@ -64,7 +64,8 @@ class SimulatedSet:
         store = open_store(file)
         if not store.done.all():
             raise SimulationError(
-                f"{path}: {int(store.done.sum())} of {len(store.done)} chunks are done; the `softmap sweep` that began "
+                f"{path}: {int(store.done.sum())} of {len(store.done)} chunks are done; "
+                f"the `softmap model sweep` that began "
                 "it goes on with it"
             )
         return cls(store.command, store.vertices, store.triangles, str(store.attributes["finger"]), store)

@@ -40,7 +40,7 @@ CODECS = {"BytesCodec", "ZstdCodec"}
 MOST_TEXT = 16 << 20  # bytes of a zarr.json
 MOST_NUMBERS = 1 << 27  # of what is read at once: a chunk, or an array that is no `vertices`
 MOST_ROWS = 10_000_000
-REMEDY = "make it again with `softmap sweep`"
+REMEDY = "make it again with `softmap model sweep`"
 
 
 @dataclass(frozen=True)
@@ -156,7 +156,7 @@ def make(path: Path, attributes: dict[str, Any], template: FingerTemplate, tendo
 def open_store(path: Path, mode: str = "r") -> Store:
     """Open a store, `mode` "r" or "r+". Raises SimulationError with one line when it is none, damaged or too large."""
     if not (path / "zarr.json").is_file():
-        raise SimulationError(f"{path}: no Zarr 3 store; make one with `softmap sweep --out NAME.zarr`")
+        raise SimulationError(f"{path}: no Zarr 3 store; make one with `softmap model sweep --out NAME.zarr`")
     try:
         return _opened(path, mode)
     except SoftmapError as error:

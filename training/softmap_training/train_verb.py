@@ -23,7 +23,7 @@ def train_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `train`."""
     what = parser.add_subparsers(dest="what", required=True, metavar="WHAT")
     prior = what.add_parser("prior", help="from a simulated set: commands → shapes")
-    prior.add_argument("set", help="simulated shapes of `softmap sweep` (.zarr or .npz)")
+    prior.add_argument("set", help="simulated shapes of `softmap model sweep` (.zarr or .npz)")
     prior.add_argument(
         "--model", choices=(*get_args(PriorKind), *BASELINES), default="modes",
         help="ours, to a few modes (default); the paper's network, with dropout or without; its layers to Laplacian "

@@ -49,7 +49,9 @@ def emulate_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `servo emulate`."""
     parser.add_argument("--bundle", metavar="DIR", help="whose finger it is (default: the built-in one)")
     effects_argument(parser)
-    parser.add_argument("--hide", "--hidden", default="", metavar="NAMES", help="laws that it hides: backlash,creep")
+    parser.add_argument(
+        "--hide", "--hidden", default="", metavar="NAME,NAME", help="effects that it hides: backlash,creep"
+    )
     parser.add_argument("--strength", type=float, default=1.0, metavar="X", help="how strong they are (1)")
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="of what is drawn by chance (0)")
     parser.add_argument("--model", default=SERVO, metavar="NAME", help=f"of the servos ({SERVO})")

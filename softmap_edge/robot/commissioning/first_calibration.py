@@ -3,7 +3,7 @@
 A servo's command is the tendon that its pulley winds, u_k = ±r (ticks − home), straight at home (b = 0). What nobody
 measured is not claimed: no coupling is known, so that every other entry is 0 with a standard deviation of COUPLING of
 the servo's own; home was judged by eye, as far as homing lets it be off. `held_out` is what these deviations expect
-over the model's range, since no block was left out. A camera's calibration (`softmap calibrate`) replaces it.
+over the model's range, since no block was left out. A camera's calibration (`softmap model calibrate`) replaces it.
 Pinned by tests/robot/test_calibrate_bench.py.
 """
 
@@ -132,7 +132,7 @@ def _expected(model: Model, share: float, at_home: float) -> dict[str, float]:
 
 
 def document(found: Calibration, model: Model, warnings: Sequence[str]) -> dict[str, Any]:
-    """Return softmap.calibration/1 as `softmap calibrate` prints it; nothing was matched, so that no pairs are told."""
+    """Return softmap.calibration/1 as `softmap model calibrate` prints it; there are no matched pairs."""
     matched: dict[str, Any] = {"ticks": [], "command": [], "frames": [], "weight": [], "mae_mm": None}
     return found.to_dict() | {
         "affine": True,

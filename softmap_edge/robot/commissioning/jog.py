@@ -135,8 +135,9 @@ class Jog:
         which of the two it has come to the end of.
 
         Raises:
-            ServoError: the guard denies it, or a fault ended the jog.
+            ServoError: there is no such servo, `ticks` is not finite, the guard denies it, or a fault ended the jog.
         """
+        self._check(servo, ticks)
         state = self.robot.state
         if state not in ("commissioning", "connected"):
             report = self.robot.report
@@ -193,8 +194,10 @@ class Jog:
             seen: is shown this jog each time; True ends the move where it is.
 
         Raises:
-            ServoError: a fault or the emergency stop ended it, or it did not arrive in time.
+            ServoError: there is no such servo, `ticks` is not finite, a fault or the emergency stop ended it, or it did
+                not arrive in time.
         """
+        self._check(servo, ticks)
         begin, left, settled = float(self.position[servo]), abs(ticks) / self.slew + WAITS, 0.0
         last = self.robot.time.now()
         while not hand.stopped and settled < SETTLES:
@@ -219,6 +222,14 @@ class Jog:
         self.obey(hand)
         return float(self.position[servo] - begin)
 
+    def _check(self, servo: int, ticks: float) -> None:
+        """Raise ServoError if a jog names no servo of the rig, or no finite number of ticks."""
+        count = len(self.rig.servos)
+        if not 0 <= servo < count:
+            raise ServoError(f"no servo number {servo}; the rig has {count}, counted from 0")
+        if not np.isfinite(ticks):
+            raise ServoError(f"a jog of {ticks} ticks; give a finite number of at most {FARTHEST:g}")
+
     def _aim(self, servo: int) -> float:
         return float("nan") if self._target is None else float(self._target[servo])
 
@@ -236,6 +247,8 @@ def _limits(rig: Rig, asked: dict[str, float | None]) -> LoopLimits:
     table = {name: found[0] for name in names if (found := robot(name))}
     for name, value in asked.items():
         if value is not None:
+            if isinstance(value, bool) or not isinstance(value, int | float):
+                raise ServoError(f"{name} is '{value!s:.20}'; give a number")
             table[name] = min(value, table.get(name, value))
     # All servos keep to the slowest, so that how long a jog takes is known.
     table["jog_slew"] = min(table.get("jog_slew", JOG_SLEW), *(one["slew"] for one in servos))

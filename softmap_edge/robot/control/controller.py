@@ -33,16 +33,15 @@ from softmap_edge import _core
 from softmap_edge.errors import GuardStopped, RecordingBroken, ServoError, SoftmapError
 from softmap_edge.model.servo_calibration import Calibration
 from softmap_edge.robot.control import session_mark
-from softmap_edge.robot.control.shutdown import kept_words, numbers, running
-from softmap_edge.robot.control.supervisor import Supervisor
+from softmap_edge.robot.control.supervisor import Supervisor, numbers, running
 from softmap_edge.robot.motion.kinematics import Kinematics
 from softmap_edge.robot.servo import status_words as words
 from softmap_edge.robot.servo.clock import FROZEN, Clock
 from softmap_edge.robot.servo.known_state import gains_of
 from softmap_edge.robot.servo.loop_types import LoopLimits, LoopReport
 from softmap_edge.robot.servo.rig import Rig
-from softmap_edge.robot.servo.within_rig import check_bench
-from softmap_edge.version import __version__
+from softmap_edge.robot.servo.rig_ceiling import check_bench
+from softmap_edge.robot.servo.status_words import kept_words
 
 Floats = NDArray[np.float64]
 
@@ -312,6 +311,8 @@ class Controller(Supervisor):
             **self.rig.emergency.setup(),
         }
         if self._record is not None:
+            from softmap_edge.version import __version__
+
             about = {"schema": "softmap.setup/1", "softmap": __version__, "calibration": self.calibration.to_dict()}
             setup |= {"record": str(self._record.absolute()), "setup": json.dumps(about | setup)}
         setup["session"] = session_mark.path_of(self.rig.port)

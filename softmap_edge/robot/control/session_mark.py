@@ -106,7 +106,7 @@ def last_session(file: Path) -> str | None:
         how = "its program was killed, and its control loop still runs: it releases the servos, or it is frozen"
     else:
         how = "its program was killed, and its control loop died before it released the servos"
-    kept = f"; `softmap replay {_printable(record)}` reads what it recorded" if record else ""
+    kept = f"; `softmap servo replay {_printable(record)}` reads what it recorded" if record else ""
     return f"the last session of this bench ({program}, begun {begun}) ended without shutting down: {how}{kept}"
 
 

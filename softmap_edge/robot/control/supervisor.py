@@ -10,13 +10,14 @@ import os
 import select
 import subprocess
 import threading
+import weakref
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from softmap_edge.errors import RecordingBroken, ServoError
-from softmap_edge.robot.control.shutdown import kept_words
 from softmap_edge.robot.remedies import filled
 from softmap_edge.robot.servo import status_words as words
 from softmap_edge.robot.servo.bus import kept_torque, opened
@@ -24,6 +25,33 @@ from softmap_edge.robot.servo.loop_types import BusCounts, LoopLimits, LoopRepor
 from softmap_edge.robot.servo.rig import Rig
 
 LOOK = 0.1  # s between two looks for reports
+
+
+class Running(Protocol):
+    """What holds the pipe of a running loop."""
+
+    def _let_go(self) -> None: ...
+
+
+running: weakref.WeakSet[Running] = weakref.WeakSet()
+
+
+def numbers(command: ArrayLike) -> NDArray[np.float64] | None:
+    """Return a command as an array of real numbers, None if it is none."""
+    try:
+        found = np.asarray(command)
+        return None if np.iscomplexobj(found) else found.astype(float)
+    except (TypeError, ValueError):
+        return None
+
+
+def _forked() -> None:
+    for robot in running:
+        robot._let_go()
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_forked)
 
 
 def _has_more(pipe: int, seconds: float) -> bool:
@@ -200,7 +228,7 @@ class Supervisor:
             try:
                 with opened(self.rig.port, self.rig.baud, shared=True) as bus:
                     if left := kept_torque(bus, [servo.id for servo in self.rig.servos]):
-                        kept = kept_words(left)
+                        kept = words.kept_words(left)
                         said = f"the control loop died or froze; torque off was sent from here, but {kept}"
             except ServoError as fault:
                 kept = f"the servos could not be released ({fault}): switch them off"

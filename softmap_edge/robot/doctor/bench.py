@@ -43,7 +43,7 @@ def bundle(folder: str | Path) -> Iterator[Line]:
     yield Line("bundle", OK, f"{folder}: {model.robot}, {model.channels} commands, effects: {effects}")
     found = model.calibration
     if found is None:
-        do = "run softmap calibrate with a run that has ticks"
+        do = "run softmap model calibrate with a run that has ticks"
         yield Line("calibration", FAULT, "the bundle holds none", do)
     else:
         low, high = found.window or (0.0, 0.0)

@@ -22,8 +22,12 @@ from softmap_edge.version import __version__
 
 PROC, DEV, SYS = Path("/proc"), Path("/dev"), Path("/sys")
 PYTHON = (3, 11)
-NEEDED = ("numpy", "jinja2", "onnxruntime", "tomlkit", "websockets")
-EXTRAS = {"dynamixel-sdk": "servo", "matplotlib": "report"}  # those of driving by hand: `teleoperation`
+NEEDED = ("numpy", "jinja2", "tomlkit", "websockets")
+EXTRAS = {  # how to install each; those of driving by hand: `teleoperation`
+    "dynamixel-sdk": "pip install 'softmap-edge[servo]'",
+    "matplotlib": "pip install 'softmap-edge[report]'",
+    "onnxruntime": "pip install onnxruntime",
+}
 CAP_IPC_LOCK, CAP_SYS_NICE = 14, 23  # their bits in a set of capabilities
 PRIORITY = 50  # what the loop asks for
 LOCKED = 64 << 20  # bytes that it wants to keep in memory
@@ -41,9 +45,9 @@ def versions() -> Iterator[Line]:
         version = _version(name)
         do = "" if version else "run pip install softmap-edge again"
         yield Line(name, OK if version else FAULT, version or "not installed", do)
-    for name, extra in EXTRAS.items():
+    for name, install in EXTRAS.items():
         version = _version(name)
-        do = "" if version else f"only if you need it: pip install 'softmap-edge[{extra}]'"
+        do = "" if version else f"only if you need it: {install}"
         yield Line(name, OK if version else WARNING, version or "not installed", do)
 
 

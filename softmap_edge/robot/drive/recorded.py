@@ -58,7 +58,8 @@ def open_incomplete(path: str | Path, model: Model | None = None) -> tuple[Run, 
     recording = read_recording(file)
     if recording.doubtful:
         raise RunError(
-            f"{recording.incomplete}; copy it again, or take it as it is by `softmap replay {shlex.quote(str(file))} "
+            f"{recording.incomplete}; copy it again, or take it as it is "
+            f"by `softmap servo replay {shlex.quote(str(file))} "
             "--run RUN.npz`"
         )
     return run_of(recording, model)

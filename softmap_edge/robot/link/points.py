@@ -110,7 +110,7 @@ class PointReceiver(Listener):
 
     Args:
         key: shared with the sender; without it only this computer may send. count: how many points a frame has; any
-            number without it. frame: (3, 4) [R | mm] from the camera to the base, as in a run of `softmap align`.
+            number without it. frame: (3, 4) [R | mm] from the camera to the base, as in a run of `softmap run align`.
 
     Raises:
         LinkError: the address is not ours or in use, the key is too short, or it is needed.

@@ -77,7 +77,7 @@ def jogs(id: int, ticks: float, most: float = JOG_TRAVEL) -> str:
     times = max(1, math.ceil(abs(ticks) / min(most, JOG_TRAVEL)))
     step = round(ticks / times)
     often = "" if times == 1 else f", {times} times"
-    return f"`softmap move --servo {id} --by {step or 1:+d} --rig FILE`{often}"
+    return f"`softmap servo move --servo {id} --by {step or 1:+d} --rig FILE`{often}"
 
 
 def denied_for(cause: str, report: LoopReport, limits: LoopLimits | None) -> str:

@@ -24,7 +24,6 @@ from softmap_edge.errors import LimitError, ServoError
 from softmap_edge.model.model import Model
 from softmap_edge.model.safety import Safety, derived, held_to
 from softmap_edge.model.servo_calibration import TURN, Calibration
-from softmap_edge.robot.servo.home_mark import no_home
 from softmap_edge.robot.servo.loop_limits import COOL, RATE, following, loop_limits, servo_limits, slowed, strongest
 from softmap_edge.robot.servo.loop_types import LoopLimits, ServoLimits
 from softmap_edge.robot.servo.models import ServoModel, servo_model
@@ -78,6 +77,8 @@ class EffectiveLimits:
         """
         missing = [servo.id for servo in self.rig.servos if servo.home is None]
         if missing:
+            from softmap_edge.robot.servo.home_mark import no_home
+
             raise ServoError(no_home(missing))
         servos: list[ServoLimits] = []
         for servo, limits in zip(self.rig.servos, self.servos):
@@ -189,7 +190,7 @@ def calibration_of(model: Model) -> Calibration:
     if model.calibration is None:
         raise ServoError(
             "the bundle holds no calibration of the servos; make one with `softmap servo calibrate`, or from a run by "
-            "`softmap calibrate`"
+            "`softmap model calibrate`"
         )
     return model.calibration
 

@@ -88,7 +88,7 @@ def muted(bus: _core.ServoBus, id: int) -> str:
         return pings_only(bus.port, bus.baud, id)
     if pinged(bus, id) is not None:
         return "its long answers are lost: the bus is disturbed, or two servos share its id; look at cables and ids"
-    return "no answer; check power and wiring, `softmap doctor --rig FILE` looks at more"
+    return "no answer; check power and wiring, `softmap servo doctor --rig FILE` looks at more"
 
 
 def shares(bus: _core.ServoBus, id: int) -> str:

@@ -5,6 +5,7 @@ Whatever shows them to somebody takes them from here. Pinned by tests/robot/test
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Literal
 
 from softmap_edge.robot.remedies import parted
@@ -56,7 +57,7 @@ DENIED = {
     "from": "not allowed in state {}",
     "trouble": "something is wrong: {}",
     "torque": "a servo has torque; `softmap servo off` releases it",
-    "outside": "a servo stands outside its window; turn it back with `softmap move`, or home the robot again",
+    "outside": "a servo stands outside its window; turn it back with `softmap servo move`, or home the robot again",
     "undriven": "no fresh target, or the deadman is not pressed",
 }
 STATES = {
@@ -237,3 +238,10 @@ def lost(report: LoopReport, why: str) -> str:
     elif state in ("fault", "homed"):
         again = "let go of the key, then reset the fault"
     return again if why == sentence(report) else f"driving ended: {why}; {again}"
+
+
+def kept_words(ids: Sequence[int]) -> str:
+    """Return what is to be said of servos that have not confirmed that their torque is off."""
+    which, several = ", ".join(map(str, ids)), len(ids) > 1
+    who, its, it = ("servos", "their", "they answer") if several else ("servo", "its", "it answers")
+    return f"{who} {which} did not confirm that {its} torque is off; cut {its} supply, or `softmap servo off` once {it}"
