@@ -64,6 +64,7 @@ prove: wheel $(VENV)/.prove
 docs: $(VENV)/.docs
 	$(BIN)/python docs/make_reference.py
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet
+	$(BIN)/python -m pytest -q docs/test_site.py
 	@echo "Open out/docs/index.html"
 
 # The pictures of the pages and the page of effects, measured again.
