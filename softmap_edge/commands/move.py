@@ -280,7 +280,8 @@ def _far(rig: Rig, target: Any, position: Any, away: Any, most: Any) -> str:
 
 def _off(robot: Controller, command: Any, what: str) -> float:
     """Return how far (ticks) the `goal` or `position` of the newest report is from a command; ∞ where it says none."""
-    ticks = robot.report.get(what) or [None]
+    report = robot.report
+    ticks = (report.get("goal") if what == "goal" else report.get("position")) or [None]
     return np.inf if None in ticks else float(np.abs(np.array(ticks) - robot.calibration.ticks(command)).max())
 
 

@@ -28,11 +28,12 @@ import json
 import math
 import os
 import shutil
+import sys
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
@@ -40,22 +41,28 @@ from softmap_edge import _core
 from softmap_edge.errors import BundleError, CalibrationError, SoftmapError, brief
 from softmap_edge.files.atomic import MOST_TEXT
 from softmap_edge.files.npz import read_npz, write_npz
-from softmap_edge.model import user_effect as own_effect
-from softmap_edge.model.coverage import Coverage
-from softmap_edge.model.learned_in import read_learned_in
-from softmap_edge.model.manifest import LARGEST, check_within, finite_number, load_manifest, read_json
+from softmap_edge.model.manifest import (
+    LARGEST,
+    MAX_EFFECT_BYTES,
+    MAX_ONNX_BYTES,
+    check_within,
+    finite_number,
+    load_manifest,
+    read_json,
+)
 from softmap_edge.model.model import Arrays, Model
-from softmap_edge.model.onnx import MOST_BYTES, read_network
 from softmap_edge.model.safety import Safety, derived, read_safety
 from softmap_edge.model.servo_calibration import Calibration
 from softmap_edge.model.shapes import cables_from, family_from, fields_from, second_from
 from softmap_edge.model.structure import Structure
 from softmap_edge.model.template import template_arrays, template_from
 from softmap_edge.run.output import Output
-from softmap_edge.version import __version__
+
+if TYPE_CHECKING:
+    from softmap_edge.model.user_effect import OwnEffect
 
 _MAX_BYTES = 256 << 20
-_MOST = {".json": 16 << 20, ".npz": _MAX_BYTES, ".onnx": MOST_BYTES, ".toml": MOST_TEXT, ".py": own_effect.MAX_BYTES}
+_MOST = {".json": 16 << 20, ".npz": _MAX_BYTES, ".onnx": MAX_ONNX_BYTES, ".toml": MOST_TEXT, ".py": MAX_EFFECT_BYTES}
 SAFETY = "safety.toml"
 _FILES = ("prior.npz", "template.npz", "fields.npz", "effects.json")
 # Those that its manifest may name beside them.
@@ -95,11 +102,13 @@ def save_bundle(model: Model, path: str | Path) -> Path:
         narrowed = model.safety.within(model.command_range) or derived(model)
         assert narrowed is not None  # a model with limits has commands
         (partial / SAFETY).write_text(narrowed.to_toml(), encoding="utf-8")
-    own = [effect for name, effect in own_effect.loaded().items() if name in model.chain_names]
+    own = [effect for name, effect in _loaded().items() if name in model.chain_names]
     for effect in own:
         (partial / f"{effect.name}.py").write_bytes(effect.source)
     chain = {"chain": list(model.chain_names), "params": model.params}
     (partial / "effects.json").write_text(json.dumps(chain, indent=1, sort_keys=True) + "\n")
+    from softmap_edge.version import __version__
+
     manifest = {
         "schema": _schema(model, files, bool(own)),
         "kind": model.kind,
@@ -126,6 +135,12 @@ def save_bundle(model: Model, path: str | Path) -> Path:
         shutil.rmtree(folder)
     partial.replace(folder)
     return folder
+
+
+def _loaded() -> Mapping[str, OwnEffect]:
+    """Return the own effects of this process by name; none before the module that loads them is needed."""
+    module = sys.modules.get("softmap_edge.model.user_effect")
+    return {} if module is None else cast("Mapping[str, OwnEffect]", module.loaded())
 
 
 def _umask() -> int:
@@ -209,14 +224,16 @@ def builtin_model() -> Model:
 
 def _allow(file: Path, name: str, digest: str, trust: Trust | None) -> None:
     """See that the effect `name` of a bundle is loaded, by running `file` only if `trust` says so."""
-    known = own_effect.loaded().get(name)
+    from softmap_edge.model.user_effect import load_effect
+
+    known = _loaded().get(name)
     if known is None:
         if trust is None or not trust(file, digest):
             raise BundleError(
                 f"{file.parent}: its effect '{name}' is Python code, which is not run unasked; read {file}, then "
                 f"allow it with --effects {file} (in Python: load_effect)"
             )
-        known = own_effect.load_effect(file, digest)
+        known = load_effect(file, digest)
     if known.sha256 != digest or known.name != name:
         raise BundleError(
             f"{file.parent}: its effect '{name}' is a file of sha256 {digest[:12]}…, loaded is {known.name} of "
@@ -253,6 +270,8 @@ def _arrays(folder: Path, manifest: dict[str, Any], trusted: Trust) -> tuple[dic
     between = np.array(manifest["command_range"], float).reshape(-1, 2)
     for file in (name for name in learned if name.endswith(".onnx")):
         group = arrays.setdefault(file.removesuffix(".onnx"), {})
+        from softmap_edge.model.onnx import read_network
+
         found, description = read_network(folder / file, between, group, trusted)
         group |= found
         if description is not None:
@@ -274,6 +293,8 @@ def _model(folder: Path, manifest: dict[str, Any], trusted: Trust) -> Model:
         from softmap_edge.model.polynomial_rod import rod_from_arrays
 
         prior, fields = rod_from_arrays(arrays["prior"])
+        from softmap_edge.model.coverage import Coverage
+
         Coverage.from_arrays(arrays["prior"], manifest["channels"])  # or reports what is wrong with it
         cables = second = None
     rest = template.rest
@@ -315,7 +336,7 @@ def _model(folder: Path, manifest: dict[str, Any], trusted: Trust) -> Model:
     if model.form_error.shape != (features, 3):
         raise BundleError(f"{folder.name}: form error of shape {model.form_error.shape}, expected ({features}, 3)")
     names, params = load_chain(folder)
-    nameless = [name for name in names if name in own_effect.loaded() and name not in manifest.get("own_effects", {})]
+    nameless = [name for name in names if name in _loaded() and name not in manifest.get("own_effects", {})]
     if nameless:
         raise BundleError(f"{folder.name}: its chain has '{nameless[0]}', code that its manifest does not name")
     model = model.with_effects(names, params)
@@ -372,7 +393,10 @@ def _own_hashes(manifest: dict[str, Any]) -> dict[str, str]:
 
 def _made_from(manifest: dict[str, Any]) -> dict[str, Any]:
     made = manifest.get("made_from", {})
-    read_learned_in(made.get("learned_in"))
+    if made.get("learned_in") is not None:
+        from softmap_edge.model.learned_in import read_learned_in
+
+        read_learned_in(made["learned_in"])
     runs = made.get("runs", [])
     if not isinstance(runs, list) or not all(isinstance(run, str) and len(run) == 64 for run in runs):
         raise SoftmapError("made_from: `runs` is not a list of sha256")

@@ -12,12 +12,14 @@ from pathlib import Path
 from typing import Any
 
 from softmap_edge.errors import BundleError, brief
-from softmap_edge.model import user_effect as own_effect
 
 # 2: scattered families, bodies without a mesh; 3: own effects, fields of a design, steps; 4: a residual; 5: networks;
 # 6: a calibration, handles; 7: limits (safety.toml); 8: outputs that are no places
 SCHEMA = 8
 KINDS = ("table", "scattered", "network", "rod")
+EFFECT_NAME = re.compile(r"[a-z][a-z0-9_]{0,39}")  # of a user's own effect
+MAX_EFFECT_BYTES = 1 << 20  # of its file
+MAX_ONNX_BYTES = 64 << 20  # the published network has 7 MB
 LARGEST = 1e9  # mm, g, N, s: beyond any robot, and far from where float64 overflows in a product
 
 
@@ -106,7 +108,7 @@ def _hashes(value: object) -> bool:
     return (
         isinstance(value, dict)
         and len(value) <= 16
-        and all(own_effect.NAME.fullmatch(name) for name in value)
+        and all(EFFECT_NAME.fullmatch(name) for name in value)
         and all(map(_digest, value.values()))
     )
 

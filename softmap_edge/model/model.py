@@ -22,19 +22,17 @@ from softmap_edge.errors import SoftmapError
 from softmap_edge.geometry.sections import FeatureMap
 from softmap_edge.model import views
 from softmap_edge.model.chain_labels import named, readings, spread, valued
-from softmap_edge.model.coverage import Coverage
-from softmap_edge.model.learned_in import LearnedIn, read_learned_in
 from softmap_edge.model.predictors import Shape, all_points, tip
 from softmap_edge.model.servo_calibration import Calibration, converted
 from softmap_edge.model.shapes import family_from
 from softmap_edge.model.structure import Structure
-from softmap_edge.model.training_range import check_commands
 from softmap_edge.run.output import Output
-from softmap_edge.run.pieces import spans
 from softmap_edge.run.plane import flat
 
 if TYPE_CHECKING:
+    from softmap_edge.model.coverage import Coverage
     from softmap_edge.model.elastic_rod import Change, ElasticParameters
+    from softmap_edge.model.learned_in import LearnedIn
     from softmap_edge.model.safety import Safety
     from softmap_edge.run.run import Run
 
@@ -148,10 +146,14 @@ class Model:
     @cached_property
     def learned_in(self) -> tuple[LearnedIn, ...]:
         """Effects that were in the robot while the model was learned (`softmap learn`); none for a simulator."""
+        from softmap_edge.model.learned_in import read_learned_in
+
         return read_learned_in(self.made_from.get("learned_in"))
 
     def taught_by(self, run: Run) -> bool:
         """Return whether the model was learned from this run, or from a part of the recording that it holds as well."""
+        from softmap_edge.run.pieces import spans
+
         known = [(str(one), float(start), float(end)) for one, start, end in self.made_from.get("pieces", [])]
         parts = spans(run)
         return run.hash() in self.made_from.get("runs", []) or any(
@@ -163,6 +165,8 @@ class Model:
     @cached_property
     def coverage(self) -> Coverage | None:
         """The commands that taught a learned model; None if they were not kept."""
+        from softmap_edge.model.coverage import Coverage
+
         return Coverage.from_arrays(self.arrays.get("prior", {}), self.channels)
 
     @property
@@ -303,6 +307,8 @@ class Model:
     def commands(self, run: Run) -> Floats:
         """Return the run's commands (T, C) as this model takes them: the present position if there is one."""
         u = (run := converted(self, run)).commands("goal" if self.input == "goal" else None)
+        from softmap_edge.model.training_range import check_commands
+
         check_commands(self, run, u)
         return np.ascontiguousarray(u, float)
 

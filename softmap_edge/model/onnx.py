@@ -26,11 +26,11 @@ from numpy.typing import NDArray
 from softmap_edge import _core
 from softmap_edge.errors import BundleError, SoftmapError, brief
 from softmap_edge.files.child import ChildFault, in_child
+from softmap_edge.model.manifest import MAX_ONNX_BYTES
 
 Floats = NDArray[np.float64]
 Arrays = dict[str, NDArray[Any]]
 
-MOST_BYTES = 64 << 20  # the published network has 7 MB
 BATCH = 64  # commands that onnxruntime is given at a time, so that a wide graph needs little memory
 CHILD_MB, CHILD_S = 1000, 60.0  # limits of onnxruntime in a child process
 CHECKED = 32  # commands at which both implementations are compared
@@ -60,8 +60,8 @@ def read_network(
         BundleError: it is too large, refers to other files, holds loops, has other channels, or is not trusted.
     """
     size = file.stat().st_size
-    if size > MOST_BYTES:
-        raise BundleError(f"{file.name}: {size >> 20} MB, networks of up to {MOST_BYTES >> 20} MB are read")
+    if size > MAX_ONNX_BYTES:
+        raise BundleError(f"{file.name}: {size >> 20} MB, networks of up to {MAX_ONNX_BYTES >> 20} MB are read")
     content = file.read_bytes()
     try:
         _core.check_onnx(content)

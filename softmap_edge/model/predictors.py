@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from softmap_edge import _core
 from softmap_edge.geometry.sections import FeatureMap
-from softmap_edge.model.onnx import tabulated
 
 if TYPE_CHECKING:
     from softmap_edge.model.structure import Structure
@@ -90,7 +89,11 @@ def _through(
 
 def _seen(structure: Structure, shape: Shape) -> Shape:
     """Return a shape of few outputs as fits want it: a network as a table."""
-    return tabulated(shape, structure.command_range) if isinstance(shape, _core.Network) else shape
+    if not isinstance(shape, _core.Network):
+        return shape
+    from softmap_edge.model.onnx import tabulated
+
+    return tabulated(shape, structure.command_range)
 
 
 def _predictor(

@@ -16,7 +16,6 @@ import ctypes
 import functools
 import hashlib
 import math
-import re
 import sys
 import threading
 import traceback
@@ -32,11 +31,10 @@ from numpy.typing import NDArray
 from softmap_edge import _core
 from softmap_edge.errors import EffectError, brief
 from softmap_edge.model.effect_info import registry
+from softmap_edge.model.manifest import EFFECT_NAME, MAX_EFFECT_BYTES
 
 Floats = NDArray[np.float64]
 
-NAME = re.compile(r"[a-z][a-z0-9_]{0,39}")
-MAX_BYTES = 1 << 20
 STAGES = ("command", "transmission", "material")
 FIELDS = ("gravity", "load", "temperature")  # what a law may need of a run beside its commands
 LONGEST = 1000  # characters of a text
@@ -198,8 +196,8 @@ def rollout(params, u, t, ctx):
 def _read(file: Path) -> bytes:
     if file.suffix != ".py" or not file.is_file():
         raise EffectError(f"{file}: no Python file; `softmap model effects new NAME` writes one")
-    if file.stat().st_size > MAX_BYTES:
-        raise EffectError(f"{file}: {file.stat().st_size} bytes, an effect has at most {MAX_BYTES}")
+    if file.stat().st_size > MAX_EFFECT_BYTES:
+        raise EffectError(f"{file}: {file.stat().st_size} bytes, an effect has at most {MAX_EFFECT_BYTES}")
     return file.read_bytes()
 
 
@@ -284,7 +282,7 @@ def _keys(where: str, what: str, given: dict[Any, Any], wanted: tuple[str, ...],
 
 
 def _check_name(where: str, name: object) -> None:
-    if not isinstance(name, str) or not NAME.fullmatch(name):
+    if not isinstance(name, str) or not EFFECT_NAME.fullmatch(name):
         raise EffectError(
             f"{where}: the name {name!r:.60}; small letters, digits and _ are allowed, a letter first, at most 40"
         )

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from softmap_edge.model.bundle import load_bundle
 from softmap_edge.model.model import Model
@@ -16,6 +16,7 @@ from softmap_edge.robot.control.controller import Controller
 from softmap_edge.robot.motion.kinematics import Kinematics
 from softmap_edge.robot.servo.limits import calibration_of, effective_limits
 from softmap_edge.robot.servo.loop_limits import RATE
+from softmap_edge.robot.servo.loop_types import LoopLimits
 from softmap_edge.robot.servo.rig import Rig, read_rig
 
 if TYPE_CHECKING:
@@ -28,7 +29,7 @@ class Bench:
     real bench has that calibration as its own; of an emulated one the `finger`."""
 
     rig: Rig
-    limits: dict[str, Any]
+    limits: LoopLimits
     calibration: Calibration
     model: Model
     finger: EmulatedFinger | None = None

@@ -196,6 +196,16 @@ def test_alignment_order_bounds_and_constants(order):
     assert numbers == {"a": -2, "b": 1.5, "c": 1, "d[0]": 0.25, "d[1]": 4, "g[0]": 5, "g[1]": -6, "i": 7}
 
 
+BAR = "\n" + "=" * 80 + "\nMSG: "
+NESTED = f"pkg/B[1000] b{BAR}pkg/B\npkg/C[1000] c{BAR}pkg/C\npkg/D[1000] d{BAR}pkg/D\n%s"
+
+
+def test_structs_without_a_byte_are_read():
+    types = parse_definition("pkg/msg/M", f"pkg/B[50] b\nfloat64 y{BAR}pkg/B\nfloat64[0] x")
+    data = b"\0\1\0\0" + struct.pack("<d", 2.5) + bytes(50)
+    assert read_message("pkg/msg/M", types, data) == {"y": 2.5}
+
+
 @pytest.mark.parametrize(
     ("definition", "data", "words"),
     [
@@ -209,6 +219,9 @@ def test_alignment_order_bounds_and_constants(order):
         ("pkg/Absent x", b"\0\1\0\0", "not defined"),
         ("float64 x; y", b"\0\1\0\0", "not defined|no field|ends early"),
         ("\n".join(f"float64[1000] x{k}" for k in range(5)), b"\0\1\0\0" + b"\0" * 40_000, "more than 4096"),
+        (NESTED % "uint8[0] x", b"\0\1\0\0" + b"\0" * 1000, "more values than it has bytes"),
+        (NESTED % "\n".join(f"float64[0] x{k}" for k in range(9)), b"\0\1\0\0" + b"\0" * 1000, "more values than"),
+        (f"float64[{'9' * 5000}] x", b"\0\1\0\0" + b"\0" * 8, "longer than any message"),
         ("wstring x", b"\0\1\0\0\0\0\0\0", "wstring"),
     ],
 )

@@ -78,3 +78,60 @@ def test_many_gigabytes_of_zeros_take_no_time(tmp_path):
             stream.write(bytes(2**20))
     begin = time.monotonic()
     assert "times its size" in stopped(path) and time.monotonic() - begin < 8.0
+
+
+TEXT = "\n".join([",".join(NAMES), *rows(60)]).encode() + b"\n"
+SKIPPED = b"\x53\x2a\x4d\x18" + (5).to_bytes(4, "little") + b"hello"
+
+
+def frame(data, **ways):
+    return zstandard.ZstdCompressor(write_checksum=True, **ways).compress(data)
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        frame(TEXT[:700]) + frame(TEXT[700:]),
+        frame(TEXT[:90]) + frame(TEXT[90:91]) + frame(TEXT[91:], write_content_size=False),
+        frame(TEXT[:700]) + SKIPPED + frame(TEXT[700:]),
+        SKIPPED + frame(TEXT),
+        SKIPPED + SKIPPED + frame(TEXT[:5]) + frame(TEXT[5:]) + SKIPPED,
+    ],
+)
+def test_all_frames_of_zstd_are_read(tmp_path, content):
+    (tmp_path / "log.csv.zst").write_bytes(content)
+    assert packed.unpack(tmp_path / "log.csv.zst").file.read_bytes() == TEXT
+    assert "tip_x" in guess_mapping([tmp_path / "log.csv.zst"]).text
+
+
+def sized(content, change):
+    """A frame that states another size of its content; the test data have one of two bytes."""
+    assert content[4] >> 5 == 0b011
+    size = int.from_bytes(content[5:7], "little") + change
+    return content[:5] + size.to_bytes(2, "little") + content[7:]
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        frame(TEXT) + b"garbage",
+        frame(TEXT) + b"\0" * 20,
+        frame(TEXT) + frame(TEXT)[:9],
+        frame(TEXT)[:-1],
+        sized(frame(TEXT), 1),
+        sized(frame(TEXT), -1),
+        frame(TEXT)[:-1] + bytes([frame(TEXT)[-1] ^ 1]),
+        frame(TEXT) + SKIPPED[:9],
+    ],
+)
+def test_a_tail_or_a_size_that_does_not_fit_is_reported(tmp_path, content):
+    (tmp_path / "log.csv.zst").write_bytes(content)
+    assert "is a damaged packed file" in stopped(tmp_path / "log.csv.zst")
+
+
+@pytest.mark.parametrize("content", [b"", b"1,2\n"])
+def test_frames_without_end_are_stopped(tmp_path, content):
+    began = time.monotonic()
+    (tmp_path / "log.csv.zst").write_bytes(frame(LINE) + frame(content) * 200_000)
+    assert "more than 10000 frames" in stopped(tmp_path / "log.csv.zst")
+    assert time.monotonic() - began < 30  # 65 s and more without the limit

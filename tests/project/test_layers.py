@@ -91,4 +91,4 @@ def test_opening_a_robot_loads_few_modules():
         "print(sum(not hasattr(sys.modules[n], '__path__') for n in names))"
     )
     count = int(subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout)
-    assert count <= 54, count
+    assert count <= 41, count

@@ -56,6 +56,41 @@ def test_connect_is_denied_with_servo_value_limit_and_remedy():
             Controller(rig, calibration(), limits).__enter__()
 
 
+def held(robot, seconds, target=(0.0, 0.0)):
+    """Send a target as often as a program does, for some seconds; return the last state."""
+    until = robot.time.now() + seconds
+    while robot.time.now() < until:
+        robot.target(list(target))
+        robot.time.sleep(0.02)
+    return robot.state
+
+
+@pytest.mark.parametrize("volts", [2.9, 8.1])
+def test_a_short_dip_of_the_supply_is_no_fault_and_a_long_one_is(volts):
+    with bench(grace=1.0) as (bus, rig, limits), Controller(rig, calibration(), limits) as robot:
+        robot.engage()
+        assert held(robot, 0.3) == "engaged"
+        for _ in range(3):
+            bus.supply(0, volts)
+            assert held(robot, 0.3) == "engaged", "within the grace"
+            bus.supply(0, 5.0)
+            assert held(robot, 0.3) == "engaged", "each dip begins anew"
+        bus.supply(0, volts)
+        with pytest.raises(ServoError, match="supply voltage"):
+            held(robot, 3.0)
+        assert robot.report["cause"] == "voltage"
+
+
+def test_a_dip_before_the_start_has_its_grace_too():
+    with bench(grace=1.0) as (bus, rig, limits), Controller(rig, calibration(), limits) as robot:
+        bus.supply(0, 2.9)
+        robot.time.sleep(0.2)
+        robot.engage()
+        assert held(robot, 0.2) == "engaged"
+        bus.supply(0, 5.0)
+        assert held(robot, 1.5) == "engaged"
+
+
 def test_a_ceiling_of_the_bench_is_the_limit(tmp_path):
     with bench() as (bus, rig, _):
         replace(rig, ceiling=Ceiling((("hot", 50.0),))).write(tmp_path / "rig.toml")

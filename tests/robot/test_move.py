@@ -20,13 +20,14 @@ from waiting import until
 from softmap_edge import builtin_model, save_bundle
 from softmap_edge.cli import main
 from softmap_edge.commands.move import STEP
-from softmap_edge.errors import ServoError
+from softmap_edge.errors import ServoError, SoftmapError
 from softmap_edge.robot import doctor
 from softmap_edge.robot.commissioning import setup
-from softmap_edge.robot.commissioning.jog import Held, Jog
+from softmap_edge.robot.commissioning.jog import Held, Jog, most_travel
 from softmap_edge.robot.commissioning.keys import Keys
 from softmap_edge.robot.servo.bus import opened
 from softmap_edge.robot.servo.home_mark import marked
+from softmap_edge.robot.servo.rig import read_rig
 from softmap_edge.robot.servo.rig_ceiling import Ceiling
 from softmap_edge.robot.servo.terminal import named
 
@@ -111,6 +112,42 @@ class LetGo(Held):
     @property
     def stopped(self):
         return time.monotonic() > self.end
+
+
+@pytest.mark.parametrize("name", ["travel", "slew", "current"])
+@pytest.mark.parametrize("value", [-5.0, float("nan"), float("inf"), 1e9, "far"])
+def test_a_limit_of_a_jog_that_is_none_is_refused(name, value):
+    with bench() as (_, rig, _), pytest.raises(ServoError, match=f"jog_{name}"):
+        Jog(rig, **{name: value})
+
+
+@pytest.mark.parametrize("value", ["-5", "0", "0.5", "nan", "inf", "1e9", "'300'", "true", "[300]"])
+def test_a_travel_of_the_bench_that_is_none_is_refused(tmp_path, value):
+    with bench() as (_, rig, _):
+        rig.write(tmp_path / "rig.toml")
+    text = (tmp_path / "rig.toml").read_text()
+    (tmp_path / "rig.toml").write_text(f"{text}\n[ceiling]\njog_travel = {value}\n")
+    with pytest.raises(SoftmapError, match="ceiling: jog_travel"):
+        read_rig(tmp_path / "rig.toml")
+    (tmp_path / "rig.toml").write_text(f"{text}\n[ceiling]\njog_travel = 120.5\n")
+    assert most_travel(read_rig(tmp_path / "rig.toml")) == 120.5
+
+
+@pytest.mark.parametrize(
+    ("servo", "ticks", "said"),
+    [
+        (2, 10.0, "no servo number 2; the rig has 2"),
+        (-1, 10.0, "no servo number -1"),
+        (0, float("nan"), "a jog of nan ticks"),
+        (1, float("-inf"), "a jog of -inf ticks"),
+    ],
+)
+def test_a_jog_of_no_servo_or_no_number_is_refused_and_nothing_moves(servo, ticks, said):
+    with bench() as (bus, rig, _), Jog(rig) as jog:
+        for move in (lambda: jog.press(servo, ticks), lambda: jog.by(servo, ticks, Held())):
+            with pytest.raises(ServoError, match=said):
+                move()
+        assert jog.robot.state == "connected" and not torque(bus)
 
 
 def test_who_lets_go_stops_it():

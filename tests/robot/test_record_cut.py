@@ -18,8 +18,9 @@ from softmap_edge import Run, builtin_model
 from softmap_edge.cli import main
 from softmap_edge.errors import RunError
 from softmap_edge.experiment.blocks import chosen, plan
+from softmap_edge.robot.drive import observations
 from softmap_edge.robot.drive.command_file import write_commands
-from softmap_edge.robot.drive.observations import Keeper, Kept, read_kept
+from softmap_edge.robot.drive.observations import POINTS, Keeper, Kept, read_kept
 from softmap_edge.robot.link.frames import Frame, HostClock
 from softmap_edge.run.protocol import Limits
 
@@ -72,8 +73,12 @@ def test_what_was_kept_is_read_back_and_to_its_last_whole_line(tmp_path):
         np.testing.assert_array_equal(one.points, other.points)
     stamps = [frame for _, frame in played.taken]
     np.testing.assert_array_equal(played.camera.times(stamps), again.camera.times(stamps))
-    file.write_bytes(file.read_bytes()[:-9])
+    lines = file.read_bytes().splitlines(True)
+    file.write_bytes(b"".join(lines[:-1]))
+    assert len(read_kept(file).taken) == 4 and "no line that ends it" in read_kept(file).lacks
+    file.write_bytes(b"".join(lines[:-1])[:-9])
     assert [look for look, _ in read_kept(file).taken] == [1, 3, 5], "the last line was cut"
+    assert "its last line is torn" in read_kept(file).lacks
     for bad in (
         b"",
         b"{}\n",
@@ -89,12 +94,69 @@ def test_what_was_kept_is_read_back_and_to_its_last_whole_line(tmp_path):
         read_kept(tmp_path / "none.seen")
 
 
+ODD = np.array([[0.1 + 0.2, -0.0, 5e-324], [np.nan, np.inf, -1.7e308], [1 / 3, np.pi, 2.0**-1030]])
+
+
+def test_numbers_are_read_back_to_the_last_bit(tmp_path):
+    frames = [Frame(k / 3, k / 3 + 1e-9 / 7, ODD / (k + 1)) for k in range(5)]
+    single = Frame(np.float32(2.1), np.float64(2.2), np.float32([[0.1, 2.5, -1e-40]]))
+    with Keeper(tmp_path / "a.seen", 0.0, builtin_model()) as keeper:
+        keeper.add([(np.float64(1 / 3), 2 / 3)], [(np.int64(9), single)], [single])
+        keeper.add([], list(enumerate(frames)), frames)
+    found = read_kept(tmp_path / "a.seen")
+    assert keeper.fault is None and found.lacks is None and found.clock == [(1 / 3, 2 / 3)]
+    for (_, one), other in zip(found.taken, [single, *frames], strict=True):
+        assert (one.stamp, one.arrived) == (float(other.stamp), float(other.arrived))
+        assert one.points.tobytes() == np.asarray(other.points, float).tobytes()
+
+
+@pytest.mark.parametrize(
+    ("stamp", "points", "said"),
+    [
+        (np.nan, ODD, "no finite number"),
+        (np.inf, ODD, "no finite number"),
+        (1.0, np.zeros((3, 2)), "shape \\(3, 2\\)"),
+        (1.0, np.zeros(6), "shape \\(6,\\)"),
+        (1.0, np.zeros((POINTS + 1, 3)), "points at once"),
+        ("soon", ODD, "could not convert"),
+    ],
+)
+def test_what_could_not_be_read_again_is_a_fault_and_no_end(tmp_path, stamp, points, said):
+    good = Frame(0.5, 0.5, ODD)
+    with Keeper(tmp_path / "a.seen", 0.0, builtin_model()) as keeper:
+        keeper.add([], [(0, good)], [good])
+        keeper.add([], [(1, Frame(stamp, 1.0, points))], [])
+        keeper.add([], [(2, good)], [good])
+    assert re.search(said, keeper.fault)
+    found = read_kept(tmp_path / "a.seen")
+    assert [look for look, _ in found.taken] == [0] and "no line that ends it" in found.lacks
+
+
+@pytest.mark.parametrize("error", [OSError(28, "No space left on device"), RuntimeError("gone"), MemoryError()])
+def test_a_write_that_fails_is_a_fault_whatever_it_is(tmp_path, monkeypatch, error):
+    def fails(line):
+        raise error
+
+    with Keeper(tmp_path / "a.seen", 0.0, builtin_model()) as keeper:
+        monkeypatch.setattr(observations, "with_crc", fails)
+    assert keeper.fault
+
+
+def test_files_without_an_end_line_are_read_as_before(tmp_path):
+    _, file = kept(tmp_path)
+    bare = [json.loads(line) for line in file.read_bytes().splitlines()[:-1]]
+    bare[0]["schema"] = "softmap.seen/2"
+    plain = [json.dumps({k: v for k, v in one.items() if k != "crc"}) for one in bare]
+    file.write_text("".join(observations.with_crc(line) for line in plain))
+    assert read_kept(file).lacks is None and len(read_kept(file).taken) == 4
+
+
 def test_a_line_whose_checksum_fails_is_left_out_and_a_file_without_checksums_says_so(tmp_path):
     _, file = kept(tmp_path)
     first, *lines = file.read_bytes().splitlines(True)
     file.write_bytes(b"".join([first, *lines[:2], lines[2].replace(b"0", b"1", 1), *lines[3:]]))
     again = read_kept(file)
-    assert "1 of 9 lines fail their checksum, the first is line 4" in again.lacks and len(again.taken) >= 3
+    assert "1 of 10 lines fail their checksum, the first is line 4" in again.lacks and len(again.taken) >= 3
     bare = [json.loads(line) for line in (first, *lines)]
     bare[0]["schema"] = "softmap.seen/1"
     file.write_text("".join(json.dumps({k: v for k, v in one.items() if k != "crc"}) + "\n" for one in bare))

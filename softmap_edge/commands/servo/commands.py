@@ -23,7 +23,6 @@ from softmap_edge.errors import NoAnswer, RecordingWarning, ServoError
 from softmap_edge.robot.commissioning import setup
 from softmap_edge.robot.commissioning.rig_entry import changes, entered, entry_of
 from softmap_edge.robot.control.recording import read_recording
-from softmap_edge.robot.control.shutdown import kept_words
 from softmap_edge.robot.drive.recorded import run_of
 from softmap_edge.robot.servo import status_words as words
 from softmap_edge.robot.servo.bus import opened, ports, release
@@ -33,6 +32,7 @@ from softmap_edge.robot.servo.home_mark import marked
 from softmap_edge.robot.servo.known_state import differs, passing
 from softmap_edge.robot.servo.presence import why_silent
 from softmap_edge.robot.servo.rig import Rig, read_rig
+from softmap_edge.robot.servo.status_words import kept_words
 
 SLOWEST, FASTEST = 9_600, 4_500_000  # baud
 OTHERWISE = 1  # exit code: a fault, or a recording that is decided otherwise

@@ -28,6 +28,7 @@ PRIMITIVES |= {"int32": "i", "uint32": "I", "int64": "q", "uint64": "Q", "float3
 LONGEST = 1024  # elements of a sequence that become columns
 MOST = 4096  # numbers of one message
 _DEEPEST = 16  # types within types
+_STEPS_A_BYTE = 4  # fields and structs that are read for each byte of a message, at most
 _PADDING = 8  # bytes after a message that some writers leave
 _LARGEST = 2**26  # bytes of one message when unpacked
 _BYTES = ("byte", "char", "int8", "uint8")
@@ -96,7 +97,9 @@ def _field(line: str, owner: str) -> Field | None:
     if array is None:
         return Field(name, kind, None)
     count = array[1:-1]
-    return Field(name, kind, int(count) if count.isdigit() else -1)
+    if len(count) > 18 and count.isdecimal():
+        raise CdrError(f"an array of {count[:20]} elements is longer than any message")
+    return Field(name, kind, int(count) if count.isdecimal() else -1)
 
 
 # --- messages ------------------------------------------------------------------------------
@@ -148,6 +151,13 @@ class _Reader:
         if len(data) < 4 or data[0] != 0 or data[1] not in (0, 1):
             raise CdrError(f"a message begins with {data[:2].hex()}, expected plain CDR (0000 or 0001)")
         self.data, self.at, self.order = data, 4, "<" if data[1] else ">"
+        self.steps = _STEPS_A_BYTE * len(data) + MOST
+
+    def step(self) -> None:
+        """Count a field or a struct: arrays of structs without any byte could go on without end."""
+        self.steps -= 1
+        if self.steps < 0:
+            raise CdrError("a message states far more values than it has bytes")
 
     def one(self, code: str) -> float:
         size = struct.calcsize(code)
@@ -184,6 +194,7 @@ class _Reader:
 
 def _struct(name: str, types: Types, reader: _Reader, path: str, out: dict[str, float], depth: int) -> dict[str, str]:
     """Read one struct into `out`; return its texts."""
+    reader.step()
     if depth > _DEEPEST:
         raise CdrError("types are nested without end")
     if name in _TIMES and name not in types:
@@ -194,6 +205,7 @@ def _struct(name: str, types: Types, reader: _Reader, path: str, out: dict[str, 
     if not types[name]:  # an empty type is one byte
         reader.one("B")
     for field in types[name]:
+        reader.step()
         here = f"{path}{field.name}"
         if field.count is None:
             if field.type == "string":

@@ -14,7 +14,7 @@ from softmap_edge.files.npz import check_directory
 from softmap_edge.logs.readers.encoding import encoding_of_start, is_wide
 from softmap_edge.logs.readers.mcap_file import MAGIC
 from softmap_edge.logs.readers.mocap import is_motive, is_trc
-from softmap_edge.logs.readers.packed import GZIP, ZSTD
+from softmap_edge.logs.readers.packed import GZIP, ZSTD, skipped_frames
 from softmap_edge.logs.readers.rosbag_sqlite import MAGIC as SQLITE
 from softmap_edge.logs.readers.typed_rows import is_typed
 from softmap_edge.logs.readers.vendor_text import is_lvm, is_nexus, is_qtm
@@ -88,6 +88,8 @@ def kind_of(path: Path) -> str:
     for magic, kind in _READ:
         if start.startswith(magic) and not _like_text(magic, start):
             return _checked_mcap(path, start) if kind == "mcap" else kind
+    if start[skipped_frames(start) :].startswith(ZSTD):
+        return "zstd"
     if start[512:520] == HDF5 or start[1024:1032] == HDF5 or start[2048:2056] == HDF5:
         return "hdf5"
     if start.startswith(b"PK\x03\x04") or start.startswith(b"PK\x05\x06"):

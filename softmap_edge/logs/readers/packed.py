@@ -8,6 +8,7 @@ that grows more than `_DENSEST`-fold is refused early. Checksums that the packin
 from __future__ import annotations
 
 import gzip
+import re
 import shutil
 import tempfile
 import weakref
@@ -20,10 +21,12 @@ from typing import Any, BinaryIO
 from softmap_edge.errors import RunError, brief
 
 ZSTD = b"\x28\xb5\x2f\xfd"
+_SKIPPED = re.compile(rb"[\x50-\x5f]\x2a\x4d\x18")  # a frame without content, as pzstd writes first
 GZIP = b"\x1f\x8b\x08"
 LIMIT = 2**32  # bytes when unpacked
 _UNSUSPECTED = 2**28  # bytes unpacked, below which their ratio to the packed ones is not looked at
 _DENSEST = 200  # times smaller when packed: a log of one repeated line reaches it, no recording does
+_FRAMES, _FRAME = 10_000, 2**12  # frames of a file, and the bytes of each on average, if it has more
 _NESTED = ("zstd", "gzip")  # refused when unpacked
 _PIECE = 2**20  # bytes at a time
 _SMALL = 2**11  # packed bytes at a time: each block of 4 bytes may unpack to 128 KiB
@@ -55,6 +58,14 @@ def unpack(path: Path) -> Unpacked:
         shutil.rmtree(found.file.parent, True)
         raise
     return found
+
+
+def skipped_frames(start: bytes) -> int:
+    """Return the bytes of the frames without content with which a file begins, from its first bytes."""
+    at = 0
+    while _SKIPPED.match(start, at):
+        at += 8 + int.from_bytes(start[at + 4 : at + 8], "little")
+    return at
 
 
 def _unpack(path: Path, file: Path) -> None:
@@ -126,11 +137,16 @@ def _pieces(path: Path, packed: BinaryIO) -> Iterator[bytes]:
 
 def _frames(packer: Any, packed: BinaryIO) -> Iterator[bytes]:
     """The content of frames of zstd; a piece of _SMALL bytes holds 64 MiB at most."""
-    frame = None
+    frame, count, total = None, 0, 0
     while piece := packed.read(_SMALL):
         while piece:
-            frame = packer.decompressobj() if frame is None else frame
-            yield frame.decompress(piece)
+            if frame is None:
+                frame, count = packer.decompressobj(), count + 1
+                if count > _FRAMES and total < count * _FRAME:
+                    raise EOFError(f"more than {count - 1} frames of less than {_FRAME} bytes")
+            plain = frame.decompress(piece)
+            total += len(plain)
+            yield plain
             ended = frame.eof
             piece = frame.unused_data if ended else b""
             frame = None if ended else frame

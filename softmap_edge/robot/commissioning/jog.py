@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from types import TracebackType
-from typing import Literal, Protocol, Self
+from typing import Any, Literal, Protocol, Self, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +26,8 @@ from softmap_edge.robot.servo.bus import opened
 from softmap_edge.robot.servo.conditions import JOG_TRAVEL
 from softmap_edge.robot.servo.home_mark import forget, marked
 from softmap_edge.robot.servo.limits import of_bench
-from softmap_edge.robot.servo.loop_limits import JOG_SLEW, Table, loop_limits, servo_limits, strongest
+from softmap_edge.robot.servo.loop_limits import JOG_SLEW, loop_limits, servo_limits, strongest
+from softmap_edge.robot.servo.loop_types import LoopLimits, ServoLimits
 from softmap_edge.robot.servo.models import servo_model
 from softmap_edge.robot.servo.rig import FARTHEST, Rig
 
@@ -134,8 +135,9 @@ class Jog:
         which of the two it has come to the end of.
 
         Raises:
-            ServoError: the guard denies it, or a fault ended the jog.
+            ServoError: there is no such servo, `ticks` is not finite, the guard denies it, or a fault ended the jog.
         """
+        self._check(servo, ticks)
         state = self.robot.state
         if state not in ("commissioning", "connected"):
             report = self.robot.report
@@ -192,8 +194,10 @@ class Jog:
             seen: is shown this jog each time; True ends the move where it is.
 
         Raises:
-            ServoError: a fault or the emergency stop ended it, or it did not arrive in time.
+            ServoError: there is no such servo, `ticks` is not finite, a fault or the emergency stop ended it, or it did
+                not arrive in time.
         """
+        self._check(servo, ticks)
         begin, left, settled = float(self.position[servo]), abs(ticks) / self.slew + WAITS, 0.0
         last = self.robot.time.now()
         while not hand.stopped and settled < SETTLES:
@@ -218,6 +222,14 @@ class Jog:
         self.obey(hand)
         return float(self.position[servo] - begin)
 
+    def _check(self, servo: int, ticks: float) -> None:
+        """Raise ServoError if a jog names no servo of the rig, or no finite number of ticks."""
+        count = len(self.rig.servos)
+        if not 0 <= servo < count:
+            raise ServoError(f"no servo number {servo}; the rig has {count}, counted from 0")
+        if not np.isfinite(ticks):
+            raise ServoError(f"a jog of {ticks} ticks; give a finite number of at most {FARTHEST:g}")
+
     def _aim(self, servo: int) -> float:
         return float("nan") if self._target is None else float(self._target[servo])
 
@@ -227,7 +239,7 @@ def most_travel(rig: Rig, otherwise: float = JOG_TRAVEL) -> float:
     return float((of_bench(rig)("jog_travel") or (otherwise,))[0])
 
 
-def _limits(rig: Rig, asked: dict[str, float | None]) -> Table:
+def _limits(rig: Rig, asked: dict[str, float | None]) -> LoopLimits:
     """Return the limits of jogs: what is `asked` for, where the bench allows it, and all else that the bench says."""
     robot, servos = of_bench(rig), _servos(rig)
     anywhere = (float(FARTHEST),) * 2  # a goal of a jog may jump: its travel and its slew bound it
@@ -235,13 +247,15 @@ def _limits(rig: Rig, asked: dict[str, float | None]) -> Table:
     table = {name: found[0] for name in names if (found := robot(name))}
     for name, value in asked.items():
         if value is not None:
+            if isinstance(value, bool) or not isinstance(value, int | float):
+                raise ServoError(f"{name} is '{value!s:.20}'; give a number")
             table[name] = min(value, table.get(name, value))
     # All servos keep to the slowest, so that how long a jog takes is known.
     table["jog_slew"] = min(table.get("jog_slew", JOG_SLEW), *(one["slew"] for one in servos))
     return loop_limits(servos, jump=anywhere, **table)
 
 
-def _servos(rig: Rig) -> list[Table]:
+def _servos(rig: Rig) -> list[ServoLimits]:
     """Return the limits of each servo: its ticks about a home that is proved, else no window."""
     found = []
     with opened(rig.port, rig.baud) as bus:
@@ -253,11 +267,10 @@ def _servos(rig: Rig) -> list[Table]:
                 low = -FARTHEST - servo.home if low is None else low
                 high = FARTHEST - servo.home if high is None else high
                 limits = servo_limits(servo.model, servo.home, (low, high))
-            for name in ("slew", "acceleration", "following"):
-                limits[name] = (bench(name) or (limits[name],))[0]
-            for name in ("warm", "hot"):
-                limits[name] = min(limits[name], (bench(name) or (limits[name],))[0])
             own = strongest(servo_model(servo.model))
-            limits["current"] = min(own, (bench("current_mA") or (limits["current"],))[0])
+            values = cast(dict[str, Any], limits)
+            values |= {name: allowed[0] for name in ("slew", "acceleration", "following") if (allowed := bench(name))}
+            values |= {name: min(values[name], end[0]) for name in ("warm", "hot") if (end := bench(name))}
+            values["current"] = min(own, (bench("current_mA") or (values["current"],))[0])
             found.append(limits)
     return found

@@ -267,7 +267,7 @@ def _allowed(servo: RigServo, legs: tuple[Leg, Leg]) -> float:
     """
     entry = servo_model(servo.model)
     for leg in legs:
-        if not leg.rises > RISES * entry["current_unit_mA"]:
+        if not leg.rises > RISES * (entry["current_unit_mA"] or 0.0):
             raise ServoError(
                 f"servo {servo.id} draws {leg.mA:.0f} mA at {leg.stroke:+.0f} ticks, {leg.rises:+.1f} against home: it "
                 "pulls nothing there; look for a torn or slack tendon, or a stroke that is too short to measure"

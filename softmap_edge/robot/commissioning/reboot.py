@@ -13,11 +13,11 @@ from typing import Any
 
 from softmap_edge import _core
 from softmap_edge.errors import NoAnswer, ServoError
-from softmap_edge.robot.control.shutdown import kept_words
 from softmap_edge.robot.servo.bus import heard, kept_torque, opened, pinged
 from softmap_edge.robot.servo.home_mark import set_mark
 from softmap_edge.robot.servo.known_state import hardware
 from softmap_edge.robot.servo.presence import why_silent
+from softmap_edge.robot.servo.status_words import kept_words
 
 WAITS = 3.0  # s within which a servo that was restarted answers again
 TRIES = 3

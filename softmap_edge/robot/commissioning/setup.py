@@ -28,7 +28,7 @@ from softmap_edge.robot.servo.known_state import (
     setup_command,
     too_old,
 )
-from softmap_edge.robot.servo.models import Entry
+from softmap_edge.robot.servo.models import ServoModel
 from softmap_edge.robot.servo.presence import Heard, listened
 
 __all__ = ["Asked", "ServoState", "complaints", "gains", "needs", "registers", "scan", "set_up"]
@@ -164,7 +164,7 @@ def _answering(bus: _core.ServoBus, id: int, tell: Callable[[str], None]) -> Non
 
 
 def _made_ready(
-    bus: _core.ServoBus, found: ServoState, model: Entry, tell: Callable[[str], None], asked: Asked | None
+    bus: _core.ServoBus, found: ServoState, model: ServoModel, tell: Callable[[str], None], asked: Asked | None
 ) -> None:
     """Write registers that differ, torque off; the servo then resets its gains, as with each new operating mode."""
     before = registers(bus, found.id)

@@ -21,10 +21,10 @@ import struct
 import subprocess
 import sys
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -33,18 +33,17 @@ from softmap_edge import _core
 from softmap_edge.errors import GuardStopped, RecordingBroken, ServoError, SoftmapError
 from softmap_edge.model.servo_calibration import Calibration
 from softmap_edge.robot.control import session_mark
-from softmap_edge.robot.control.shutdown import kept_words, numbers, running
-from softmap_edge.robot.control.supervisor import Supervisor
+from softmap_edge.robot.control.supervisor import Supervisor, numbers, running
 from softmap_edge.robot.motion.kinematics import Kinematics
 from softmap_edge.robot.servo import status_words as words
 from softmap_edge.robot.servo.clock import FROZEN, Clock
 from softmap_edge.robot.servo.known_state import gains_of
+from softmap_edge.robot.servo.loop_types import LoopLimits, LoopReport
 from softmap_edge.robot.servo.rig import Rig
-from softmap_edge.robot.servo.within_rig import check_bench
-from softmap_edge.version import __version__
+from softmap_edge.robot.servo.rig_ceiling import check_bench
+from softmap_edge.robot.servo.status_words import kept_words
 
 Floats = NDArray[np.float64]
-Report = dict[str, Any]
 
 REQUESTS = ("connect", "home", "arm", "engage", "hold", "stop", "acknowledge", "disconnect", "commission")
 STARTS = 10.0  # s until the loop's process has said something
@@ -75,7 +74,7 @@ class Controller(Supervisor):
         self,
         rig: Rig,
         calibration: Calibration,
-        limits: Mapping[str, Any],
+        limits: LoopLimits,
         *,
         kinematics: Kinematics | None = None,
         record: str | Path | None = None,
@@ -88,7 +87,7 @@ class Controller(Supervisor):
                 f"the rig has {count} servos, the calibration {len(calibration.b)}, the limits "
                 f"{len(limits['servos'])}; they must agree"
             )
-        self.rig, self.limits = rig, dict(limits)
+        self.rig, self.limits = rig, limits.copy()
         _core.check_limits(self.limits)
         if not commissioning:
             check_bench(rig, self.limits)
@@ -99,8 +98,8 @@ class Controller(Supervisor):
         self.tell = tell
         self._commissioning = commissioning
         self._record = None if record is None else Path(record)
-        self._last: Report = {}
-        self._end: Report = {}
+        self._last: LoopReport = {}
+        self._end: LoopReport = {}
         self._heard = threading.Condition()
         self._process: subprocess.Popen[bytes] | None = None
         self._orders = -1
@@ -187,7 +186,7 @@ class Controller(Supervisor):
         )
         if denied := self._last.get("denied"):
             why = words.denied(denied, self._last, self.limits)
-            raise ServoError(self._named(f"'{name}' is denied {words.where({'state': before})}: {why}"))
+            raise ServoError(self._named(f"'{name}' is denied {words.where({'state': before or 'off'})}: {why}"))
         if reached is not None and self._last["state"] != reached:
             raise ServoError(f"'{name}' led to another state: {self._stopped()}")
 
@@ -285,7 +284,7 @@ class Controller(Supervisor):
             if process.returncode != 0 and "error" not in self._last:
                 self._rescue(process)
             session_mark.end(self._mark)
-        if said := words.bus(self._last):
+        if said := words.bus(self.bus):
             self.tell(said)
         left = self._end.get("kept_torque") if self._drove else None
         return ended, str(self._last.get("kept") or (kept_words(left) if left else ""))
@@ -312,6 +311,8 @@ class Controller(Supervisor):
             **self.rig.emergency.setup(),
         }
         if self._record is not None:
+            from softmap_edge.version import __version__
+
             about = {"schema": "softmap.setup/1", "softmap": __version__, "calibration": self.calibration.to_dict()}
             setup |= {"record": str(self._record.absolute()), "setup": json.dumps(about | setup)}
         setup["session"] = session_mark.path_of(self.rig.port)

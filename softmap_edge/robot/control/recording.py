@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +19,7 @@ from softmap_edge import _core
 from softmap_edge.errors import CalibrationError, RunError, SoftmapError
 from softmap_edge.model.servo_calibration import Calibration
 from softmap_edge.robot.control.recording_damage import find_shortfall
-from softmap_edge.robot.servo import status_words as words
+from softmap_edge.robot.servo.loop_types import BusCounts, LoopLimits, LoopReport, bus_counts
 from softmap_edge.run.run import CALIBRATION, Run
 
 Document = dict[str, Any]
@@ -43,18 +43,18 @@ class Recording:
     doubtful: bool = False
 
     @property
-    def limits(self) -> Document:
+    def limits(self) -> LoopLimits:
         """The limits that the guard kept to."""
-        return dict(self.setup["limits"])
+        return cast(LoopLimits, dict(self.setup["limits"]))
 
     @property
-    def bus(self) -> dict[str, int]:
+    def bus(self) -> BusCounts:
         """Counts of answers up to the last period: `asked` for, `lost`, `damaged`, `unasked`.
 
         Recordings of older versions have 0 of each.
         """
         last = self.periods[-1]
-        return {name: value if type(value := last.get(name)) is int else 0 for name in words.BUS}
+        return bus_counts(cast(LoopReport, {key: n for key, n in last.items() if type(n) is int}))
 
     @property
     def begun(self) -> float:

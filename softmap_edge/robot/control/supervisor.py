@@ -10,20 +10,48 @@ import os
 import select
 import subprocess
 import threading
+import weakref
 from pathlib import Path
-from typing import Any
+from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from softmap_edge.errors import RecordingBroken, ServoError
-from softmap_edge.robot.control.shutdown import kept_words
 from softmap_edge.robot.remedies import filled
 from softmap_edge.robot.servo import status_words as words
 from softmap_edge.robot.servo.bus import kept_torque, opened
+from softmap_edge.robot.servo.loop_types import BusCounts, LoopLimits, LoopReport, bus_counts
 from softmap_edge.robot.servo.rig import Rig
 
 LOOK = 0.1  # s between two looks for reports
+
+
+class Running(Protocol):
+    """What holds the pipe of a running loop."""
+
+    def _let_go(self) -> None: ...
+
+
+running: weakref.WeakSet[Running] = weakref.WeakSet()
+
+
+def numbers(command: ArrayLike) -> NDArray[np.float64] | None:
+    """Return a command as an array of real numbers, None if it is none."""
+    try:
+        found = np.asarray(command)
+        return None if np.iscomplexobj(found) else found.astype(float)
+    except (TypeError, ValueError):
+        return None
+
+
+def _forked() -> None:
+    for robot in running:
+        robot._let_go()
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_forked)
 
 
 def _has_more(pipe: int, seconds: float) -> bool:
@@ -37,11 +65,11 @@ class Supervisor:
     """What is heard of a loop, and who releases its servos when it can do so no more."""
 
     rig: Rig
-    limits: dict[str, Any]
+    limits: LoopLimits
     at_terminal: bool = False  # whether a command of the CLI drives: its user has no methods to call
     _drove_at: float | None
-    _last: dict[str, Any]
-    _end: dict[str, Any]
+    _last: LoopReport
+    _end: LoopReport
     _heard: threading.Condition
     _rescuing: threading.Lock
     _process: subprocess.Popen[bytes] | None
@@ -70,14 +98,14 @@ class Supervisor:
         return self._stood.copy()
 
     @property
-    def report(self) -> dict[str, Any]:
+    def report(self) -> LoopReport:
         """The newest report of the loop (softmap.loop/1)."""
-        return dict(self._last)
+        return self._last.copy()
 
     @property
-    def ended(self) -> dict[str, Any]:
+    def ended(self) -> LoopReport:
         """The last report: why the loop ended and how it kept its time; empty while it runs."""
-        return dict(self._end)
+        return self._end.copy()
 
     @property
     def recording(self) -> Path | None:
@@ -107,9 +135,9 @@ class Supervisor:
         return list(self._last.get("mended", []))
 
     @property
-    def bus(self) -> dict[str, int]:
+    def bus(self) -> BusCounts:
         """Counts of answers on the bus so far: `asked` for, `lost`, `damaged` and `unasked`."""
-        return {name: int(self._last.get(name, 0)) for name in words.BUS}
+        return bus_counts(self._last)
 
     def _stopped(self) -> str:
         """Return state, cause and what to do, for who drives: a command of the CLI, or a program."""
@@ -163,7 +191,7 @@ class Supervisor:
         """Process all received reports, so that the known state of the loop is the newest."""
         self._take()
 
-    def _hear(self, document: dict[str, Any]) -> None:
+    def _hear(self, document: LoopReport) -> None:
         with self._heard:
             self._drove |= bool(document.get("torque"))
             if "ended" in document:
@@ -200,7 +228,7 @@ class Supervisor:
             try:
                 with opened(self.rig.port, self.rig.baud, shared=True) as bus:
                     if left := kept_torque(bus, [servo.id for servo in self.rig.servos]):
-                        kept = kept_words(left)
+                        kept = words.kept_words(left)
                         said = f"the control loop died or froze; torque off was sent from here, but {kept}"
             except ServoError as fault:
                 kept = f"the servos could not be released ({fault}): switch them off"

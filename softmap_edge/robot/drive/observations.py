@@ -1,7 +1,8 @@
 """What a camera saw while a robot is driven, kept in a file as it comes: a cut loses its last second at most.
 
-A JSON document a line (softmap.seen/2): whose robot it is, how a command file's clock went, when each frame came, the
-frames that were taken, and the CRC-32 of all that. Files of softmap.seen/1 carry no CRC. Lines are only added, by a
+A JSON document a line (softmap.seen/3): whose robot it is, how a command file's clock went, when each frame came, the
+frames that were taken, and the CRC-32 of all that; the last line says that it is the end. Files of softmap.seen/2 have
+no such line, those of softmap.seen/1 carry no CRC either. Lines are only added, by a
 thread of its own, and are on the disk every half a second. With what the loop recorded meanwhile it becomes a run
 (`recorded.py`). Pinned by tests/robot/test_record_cut.py and tests/robot/test_recorded.py.
 """
@@ -31,9 +32,10 @@ from softmap_edge.model.model import Model
 from softmap_edge.robot.link.frames import Frame, HostClock, Seen
 
 SEEN = ".seen"  # ends the name of such a file, beside what the loop recorded
-SCHEMA, UNCHECKED = "softmap.seen/2", "softmap.seen/1"
+SCHEMA, ENDLESS, UNCHECKED = "softmap.seen/3", "softmap.seen/2", "softmap.seen/1"
 SAFE = 0.5  # s after which what came is on the disk
 LONGEST = 1 << 24  # characters of a line
+POINTS = LONGEST // 40  # points of all frames of a line: 32 characters each in base64
 NONE = np.zeros((0, 3))  # the points of a frame that only its time is kept of
 LOOK = 0.2  # s between two looks at what came
 LATELY = 200  # frames, the newest, that are looked through
@@ -111,16 +113,24 @@ class Keeper:
         """Keep what is new (`Kept`), and when the frames that came did; never waits for the disk."""
         if self.fault is not None:
             return
-        texts = [[look, frame.stamp, frame.arrived, _text(frame.points)] for look, frame in taken]
-        times = [[one.stamp, one.arrived] for one in came]
-        self._lines.put({"clock": [*clock], "came": times, "taken": texts})
+        try:
+            self._lines.put(_document(clock, taken, came))
+        except (ValueError, TypeError) as fault:
+            self.fault = f"{fault!s:.100}"
 
     def _write(self) -> None:
         saved = time.monotonic()
         with contextlib.suppress(OSError), self._stream as stream:
             try:
-                while (line := self._lines.get()) is not None:
-                    stream.write(with_crc(json.dumps(line)))
+                ended = False
+                while not ended:
+                    line = self._lines.get()
+                    ended = line is None
+                    if line is None:
+                        if self.fault is not None:  # what came after it is not kept: this is no end
+                            break
+                        line = {**_document([], [], []), "end": True}
+                    stream.write(with_crc(json.dumps(line, allow_nan=False)))
                     if time.monotonic() - saved > SAFE:
                         stream.flush()
                         os.fsync(stream.fileno())
@@ -129,6 +139,8 @@ class Keeper:
                 os.fsync(stream.fileno())
             except OSError as fault:
                 self.fault = (fault.strerror or str(fault)).lower()
+            except Exception as fault:  # whatever it is, what comes is kept no more
+                self.fault = f"{type(fault).__name__}: {fault!s:.80}"
 
 
 @contextlib.contextmanager
@@ -186,7 +198,7 @@ def read_kept(file: Path) -> Kept:
             kept = _head(head)
             if not checked and head["schema"] != UNCHECKED:
                 raise ValueError("its first line fails its checksum")
-            _read_lines(lines, kept, checked, file)
+            _read_lines(lines, kept, checked, file, ends=head["schema"] == SCHEMA)
     except OSError as fault:
         raise RunError(f"{file}: {(fault.strerror or '').lower()}; give the `.seen` file of a recording") from None
     except (ValueError, KeyError, TypeError, IndexError, OverflowError, RecursionError) as fault:
@@ -198,19 +210,23 @@ def read_kept(file: Path) -> Kept:
     return kept
 
 
-def _read_lines(lines: BinaryIO, kept: Kept, checked: bool, file: Path) -> None:
+def _read_lines(lines: BinaryIO, kept: Kept, checked: bool, file: Path, ends: bool) -> None:
     """Add to `kept` what the lines after the first hold, and what cannot be read of them."""
-    wrong, count, line = [], 1, b"\n"
+    wrong, count, line, ended = [], 1, b"\n", not ends
     while (line := lines.readline(LONGEST)).endswith(b"\n"):
         count += 1
         text, sound = _checked(line)
         if checked and not sound:
             wrong.append(count)
             continue
-        _add(kept, json.loads(text))
+        document = json.loads(text)
+        _add(kept, document)
+        ended = ended or document.get("end") is True
     if len(line) >= LONGEST:
         raise ValueError(f"a line of more than {LONGEST} characters")
     parts = [f"{file} was cut short: its last line is torn, and what was seen after it is missing"] if line else []
+    if not line and not ended:
+        parts.append(f"{file} was cut short: it has no line that ends it, and what was seen later is missing")
     if wrong:
         parts.append(
             f"{file} is damaged: {len(wrong)} of {count} lines fail their checksum, the first is line {wrong[0]}; "
@@ -219,6 +235,26 @@ def _read_lines(lines: BinaryIO, kept: Kept, checked: bool, file: Path) -> None:
     if not checked:
         parts.append(f"{file} carries no checksum: numbers that were damaged would not be noticed")
     kept.lacks = "; ".join(parts) or None
+
+
+def _document(clock: Sequence[Pair], taken: Sequence[tuple[int, Frame]], came: Sequence[Frame]) -> dict[str, Any]:
+    """Return what a line holds, as plain numbers that are read back to the last digit.
+
+    Raises:
+        ValueError: a time is not finite, points are not (N, 3), or they are too many for a line.
+    """
+    size = sum(len(frame.points) for _, frame in taken)
+    if size > POINTS:
+        raise ValueError(f"frames of {size} points at once, at most {POINTS} are kept")
+    return {
+        "clock": [[_plain(host), _plain(at)] for host, at in clock],
+        "came": [[_plain(one.stamp), _plain(one.arrived)] for one in came],
+        "taken": [[int(look), _plain(one.stamp), _plain(one.arrived), _text(one.points)] for look, one in taken],
+    }
+
+
+def _plain(number: Any) -> float:
+    return _number(float(number))
 
 
 def _add(kept: Kept, one: Any) -> None:
@@ -247,7 +283,7 @@ def _checked(line: bytes) -> tuple[bytes, bool]:
 def _head(head: Any) -> Kept:
     """Return what the first line says, of which nothing is kept yet."""
     late, robot, vertices = _number(head["late"]), head.get("robot"), head.get("vertices")
-    if head["schema"] not in (SCHEMA, UNCHECKED):
+    if head["schema"] not in (SCHEMA, ENDLESS, UNCHECKED):
         raise ValueError(f"schema {head['schema']!s:.20}")
     if not 0.0 <= late <= LATEST:
         raise ValueError(f"frames {late:g} s late, 0 to {LATEST:g} s is allowed")
@@ -275,7 +311,10 @@ def _frame(stamp: Any, arrived: Any, points: Any) -> Frame:
 
 
 def _text(points: object) -> str:
-    return base64.b64encode(np.ascontiguousarray(points, "<f8").tobytes()).decode("ascii")
+    array = np.ascontiguousarray(points, "<f8")
+    if array.ndim != 2 or array.shape[1] != 3:
+        raise ValueError(f"points of shape {array.shape}, expected (N, 3)")
+    return base64.b64encode(array.tobytes()).decode("ascii")
 
 
 def _points(text: str) -> Any:

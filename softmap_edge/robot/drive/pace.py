@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from softmap_edge.errors import SoftmapError
 from softmap_edge.model.servo_calibration import Calibration
 from softmap_edge.robot.link.frames import Frame
+from softmap_edge.robot.servo.loop_types import ServoLimits
 from softmap_edge.run.protocol import Protocol
 
 Floats = NDArray[np.float64]
@@ -57,7 +58,7 @@ class Pace:
         return int(np.clip(np.searchsorted(self.t, now, side="right") - 1, 0, len(self.t) - 1))
 
 
-def pace(made: Protocol, calibration: Calibration, servos: Sequence[dict[str, float]]) -> Pace:
+def pace(made: Protocol, calibration: Calibration, servos: Sequence[ServoLimits]) -> Pace:
     """Return how a command file is played on `servos` (their limits: low, high, slew, following).
 
     Raises:

@@ -117,9 +117,10 @@ class Player:
 
     def _send(self, at: float, now: float) -> None:
         self._robot.target(self._pace.command(at))
-        position = self._robot.report.get("position") or [None]
-        if None not in position and (not self._history or now > self._history[-1][0]):
-            self._history.append((now, [float(p) for p in position]))
+        position = self._robot.report.get("position") or []
+        heard = [float(p) for p in position if p is not None]
+        if position and len(heard) == len(position) and (not self._history or now > self._history[-1][0]):
+            self._history.append((now, heard))
             while len(self._history) > 2 and self._history[1][0] < now - 2 * SPAN:
                 self._history.pop(0)
 

@@ -13,7 +13,7 @@ from collections import deque
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from types import TracebackType
-from typing import Any, Literal, Self
+from typing import Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,6 +33,7 @@ from softmap_edge.robot.servo.clock import REAL_TIME, Clock, PacedTime, SteppedT
 from softmap_edge.robot.servo.home_mark import set_mark
 from softmap_edge.robot.servo.known_state import SET_UP
 from softmap_edge.robot.servo.loop_limits import loop_limits, servo_limits
+from softmap_edge.robot.servo.loop_types import LoopLimits
 from softmap_edge.robot.servo.models import servo_model
 from softmap_edge.robot.servo.rig import Rig, RigServo
 from softmap_edge.run.rest_command import home_command
@@ -174,7 +175,7 @@ def emulated_bench(
     baud: int = BAUD,
     ready: bool = True,
     time: Literal["real", "paced", "stepped"] = "real",
-) -> Iterator[tuple[_core.EmulatedBus, Rig, dict[str, Any], EmulatedFinger]]:
+) -> Iterator[tuple[_core.EmulatedBus, Rig, LoopLimits, EmulatedFinger]]:
     """Give an emulated bus set up to be driven, its rig, its limits, and a finger on it.
 
     Servos answer as late as those of the trunk did (0.19 s, lag 0.05 s: commands against encoders of its recording) and
@@ -192,7 +193,7 @@ def emulated_bench(
     servos = [(id, int(known["number"]), baud, float(home)) for id, home in zip(ids, homes)]
     loads = tendon_loads(model, calibration, window, known)
     bus = _core.EmulatedBus(servos, loads, delay=ANSWER[0], lag=ANSWER[1], seed=seed, simulated=time != "real")
-    kept: dict[str, Any] = {}
+    kept: dict[str, list[int]] = {}
     try:
         if ready:
             for id, home in zip(ids, homes):

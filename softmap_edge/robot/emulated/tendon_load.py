@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from softmap_edge.model.model import Model
 from softmap_edge.model.servo_calibration import TURN, Calibration, tendon_mm
 from softmap_edge.model.shapes import plain_table
-from softmap_edge.robot.servo.models import Entry
+from softmap_edge.robot.servo.models import ServoModel
 from softmap_edge.run.rest_command import home_command
 
 Floats = NDArray[np.float64]
@@ -28,7 +28,7 @@ OWN = 0.6  # of the largest change of tension: a tendon that changes as much is 
 POINTS = 41  # of a table
 
 
-def tendon_loads(model: Model, calibration: Calibration, window: tuple[float, float], servo: Entry) -> list[Load]:
+def tendon_loads(model: Model, calibration: Calibration, window: tuple[float, float], servo: ServoModel) -> list[Load]:
     """Return what each servo's tendons ask, (ticks, mA) ascending over `window` about home.
 
     Args:

@@ -21,7 +21,6 @@ from numpy.typing import ArrayLike, NDArray
 from softmap_edge import _core
 from softmap_edge.errors import SoftmapError
 from softmap_edge.model.chain_labels import valued
-from softmap_edge.model.effect_info import registry
 from softmap_edge.model.model import Model
 from softmap_edge.model.predictors import tip
 from softmap_edge.run.rest_command import home_command
@@ -204,6 +203,8 @@ class Kinematics:
         Delays without a preview are not compensated; a plan expects their error. A shape with memory is solved as if at
         rest.
         """
+        from softmap_edge.model.effect_info import registry
+
         left = {info.name for info in registry().values() if info.family == "delay" or info.remembers}
         return [name for name in self.model.chain_names if name in PREVIEWED or name not in left]
 

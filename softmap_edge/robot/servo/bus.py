@@ -12,7 +12,6 @@ from typing import ParamSpec, TypeVar
 
 from softmap_edge import _core
 from softmap_edge.errors import NoAnswer, NoSuchRate, PortLost, ServoError
-from softmap_edge.robot.servo.holders import check_alone
 from softmap_edge.robot.servo.known_state import SIGNED, setup_command
 
 P = ParamSpec("P")
@@ -44,6 +43,8 @@ def opened(port: str, baud: int, *, shared: bool = False) -> Iterator[_core.Serv
         ServoError: it cannot be opened, or another program has it; the message names that program.
     """
     if not shared:
+        from softmap_edge.robot.servo.holders import check_alone
+
         check_alone(port)
     bus = _core.ServoBus(port, baud)
     try:

@@ -8,10 +8,10 @@ tests/robot/test_conditions.py.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Sequence
 
 from softmap_edge.robot.servo.known_state import Asked, ServoState, Values, usual
+from softmap_edge.robot.servo.loop_types import LoopLimits, LoopReport, ServoLimits
 
 JOG_TRAVEL = 300.0  # ticks that one jog may turn
 PER_VOLT = 10  # register units of the supply voltage
@@ -80,7 +80,7 @@ def jogs(id: int, ticks: float, most: float = JOG_TRAVEL) -> str:
     return f"`softmap servo move --servo {id} --by {step or 1:+d} --rig FILE`{often}"
 
 
-def denied_for(cause: str, report: Mapping[str, Any], limits: Mapping[str, Any] | None) -> str:
+def denied_for(cause: str, report: LoopReport, limits: LoopLimits | None) -> str:
     """Return servo, value, limit and remedy of each servo whose reading is the `cause`; "" if none is known.
 
     Args:
@@ -98,15 +98,14 @@ def denied_for(cause: str, report: Mapping[str, Any], limits: Mapping[str, Any] 
     return "; ".join(lines)
 
 
-def _reading(cause: str, report: Mapping[str, Any], k: int, id: int, allowed: Mapping[str, Any]) -> str:
-    def sensed(name: str) -> float | None:
-        values = report.get(name) or []
-        return values[k] if k < len(values) else None
+def _reading(cause: str, report: LoopReport, k: int, id: int, allowed: ServoLimits) -> str:
+    def sensed(values: Sequence[float | None] | None) -> float | None:
+        return values[k] if values is not None and k < len(values) else None
 
-    if cause == "hot" and (warmth := sensed("temperature_C")) is not None:
+    if cause == "hot" and (warmth := sensed(report.get("temperature_C"))) is not None:
         return too_hot(warmth, allowed["hot"])
-    if cause == "voltage" and (volts := sensed("voltage_V")) is not None:
+    if cause == "voltage" and (volts := sensed(report.get("voltage_V"))) is not None:
         return undersupplied(volts, allowed["voltage"])
-    if cause == "outside" and (at := sensed("position")) is not None:
+    if cause == "outside" and (at := sensed(report.get("position"))) is not None:
         return outside(id, at, (allowed["low"], allowed["high"]))
     return ""

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from softmap_edge import _core
-from softmap_edge.robot.servo.models import Entry, numbered
+from softmap_edge.robot.servo.models import ServoModel, numbered
 
 CLEAR = 42  # firmware below which a tripped watchdog lets the motor run on, in mode 4 with a homing offset
 OLD = 38  # firmware below which there is no bus watchdog
@@ -45,7 +45,7 @@ class ServoState:
     firmware: int
 
     @property
-    def model(self) -> Entry | None:
+    def model(self) -> ServoModel | None:
         """The entry of its model, if the model is known."""
         return numbered(self.number)
 
@@ -85,7 +85,7 @@ class Need:
         return value == self.value if self.least is None else value >= self.least
 
 
-def usual(model: Entry) -> Asked:
+def usual(model: ServoModel) -> Asked:
     """Return the requirements for a servo without a rig."""
     from softmap_edge.robot.servo.loop_limits import (  # the loop starts without numpy
         COOL,
@@ -97,17 +97,17 @@ def usual(model: Entry) -> Asked:
 
     most = CURRENT * strongest(model)
     hot = float(model["temperature_limit_C"] - COOL[1])
-    return Asked(most, min(SLEW, slowed(model, most)), hot=hot, voltage=tuple(model["voltage_V"]))
+    return Asked(most, min(SLEW, slowed(model, most)), hot=hot, voltage=model["voltage_V"])
 
 
-def most(model: Entry) -> Asked:
+def most(model: ServoModel) -> Asked:
     """Return the highest requirements that a servo can meet: its factory limits."""
     from softmap_edge.robot.servo.loop_limits import strongest
 
     return Asked(strongest(model), float(model["fastest_ticks_per_s"]))
 
 
-def needs(model: Entry, asked: Asked | None = None) -> list[Need]:
+def needs(model: ServoModel, asked: Asked | None = None) -> list[Need]:
     """Return the required register values of a servo, in the order in which they are written.
 
     Args:
@@ -127,14 +127,14 @@ def needs(model: Entry, asked: Asked | None = None) -> list[Need]:
         Need("profile_velocity", 0, passing=True),
         Need("profile_acceleration", 0, passing=True),
     ]
-    if (unit := model["current_unit_mA"]) is not None:
-        least = min(math.floor(asked.current_mA / unit), model["current_limit"])
-        found.append(Need("current_limit", model["current_limit"], least))
+    unit, limit = model["current_unit_mA"], model["current_limit"]
+    if unit is not None and limit is not None:
+        found.append(Need("current_limit", limit, min(math.floor(asked.current_mA / unit), limit)))
         found.append(Need("goal_pwm", model["pwm_limit"], passing=True))
     return found + [Need(name, gain, passing=True) for name, gain in zip(GAINS, asked.gains)]
 
 
-def differing(model: Entry, values: Values, asked: Asked | None = None) -> list[Need]:
+def differing(model: ServoModel, values: Values, asked: Asked | None = None) -> list[Need]:
     """Return the needs that the registers `values` of a servo do not meet."""
     return [need for need in needs(model, asked) if not need.met(values[need.register])]
 
@@ -169,9 +169,8 @@ def passing(found: ServoState, values: Values, asked: Asked | None = None) -> li
 def differs(found: ServoState, need: Need, value: int, asked: Asked | None = None) -> str:
     """Return the actual and the required value of a register as text: `drive mode is 9, needed is 0`."""
     model = found.model
-    if need.register == "current_limit" and model is not None:
+    if need.register == "current_limit" and model is not None and (unit := model["current_unit_mA"]) is not None:
         cap = (usual(model) if asked is None else asked).current_mA
-        unit = model["current_unit_mA"]
         return f"its current limit ({value * unit:.0f} mA) is below the cap ({cap:.0f} mA)"
     least = "" if need.least is None or need.register == "secondary_id" else "at least "
     return f"{holds(found, need.register, value)}, needed is {least}{need.value if not least else need.least}"
@@ -211,7 +210,7 @@ def setup_command(port: str, baud: int, id: int, more: str = "") -> str:
     return f"`softmap servo setup --port {shlex.quote(port)} --baud {baud} --id {id}{more}`"
 
 
-def _steps(model: Entry, slew: float) -> int:
+def _steps(model: ServoModel, slew: float) -> int:
     """Return the velocity limit that lets a servo turn at `slew` ticks/s, at most the one as delivered."""
     share = min(1.0, slew / float(model["fastest_ticks_per_s"]))
     return math.ceil(share * int(model["velocity_limit"]) - 1e-9)

@@ -12,9 +12,9 @@ Pinned by tests/robot/test_limits.py.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,18 +24,9 @@ from softmap_edge.errors import LimitError, ServoError
 from softmap_edge.model.model import Model
 from softmap_edge.model.safety import Safety, derived, held_to
 from softmap_edge.model.servo_calibration import TURN, Calibration
-from softmap_edge.robot.servo.home_mark import no_home
-from softmap_edge.robot.servo.loop_limits import (
-    COOL,
-    RATE,
-    Table,
-    following,
-    loop_limits,
-    servo_limits,
-    slowed,
-    strongest,
-)
-from softmap_edge.robot.servo.models import Entry, servo_model
+from softmap_edge.robot.servo.loop_limits import COOL, RATE, following, loop_limits, servo_limits, slowed, strongest
+from softmap_edge.robot.servo.loop_types import LoopLimits, ServoLimits
+from softmap_edge.robot.servo.models import ServoModel, servo_model
 from softmap_edge.robot.servo.rig import Rig, RigServo
 from softmap_edge.robot.servo.rig_ceiling import AT_LEAST, RANGES
 
@@ -78,7 +69,7 @@ class EffectiveLimits:
     servos: tuple[tuple[Limit, ...], ...]
     robot: tuple[Limit, ...]
 
-    def table(self) -> Table:
+    def table(self) -> LoopLimits:
         """Return the table that the guard checks and keeps to.
 
         Raises:
@@ -86,13 +77,15 @@ class EffectiveLimits:
         """
         missing = [servo.id for servo in self.rig.servos if servo.home is None]
         if missing:
+            from softmap_edge.robot.servo.home_mark import no_home
+
             raise ServoError(no_home(missing))
-        servos = []
+        servos: list[ServoLimits] = []
         for servo, limits in zip(self.rig.servos, self.servos):
             assert servo.home is not None
             values = {limit.name: limit.value for limit in limits}
             values |= {name: servo.home + values[name] for name in ("low", "high")}
-            servos.append({"home": servo.home} | values)
+            servos.append(cast(ServoLimits, {"home": servo.home} | values))
         try:
             return loop_limits(servos, self.rate, **{limit.name: limit.value for limit in self.robot})
         except LimitError as fault:
@@ -274,7 +267,7 @@ def _servo(
 
     def least(name: str, *others: tuple[float, str, str], of: str | None = None) -> None:
         data = name in ("warm", "hot")
-        own = (start[name], DATA if data else OWN, "")
+        own = (cast(Mapping[str, float], start)[name], DATA if data else OWN, "")
         told = allowed(of or name) or own
         value, by, why = min([told, *([own] if data else []), *others], key=lambda one: float(one[0]))
         limits.append(Limit(name, value, UNITS[name], by, why))
@@ -297,12 +290,12 @@ def _servo(
     return tuple(limits)
 
 
-def by_pwm(entry: Entry) -> bool:
+def by_pwm(entry: ServoModel) -> bool:
     """Return whether a servo caps no current, so that its PWM is capped by as much."""
     return bool(entry["capped_by"] == "goal_pwm")
 
 
-def shown(limit: Limit, entry: Entry) -> Limit:
+def shown(limit: Limit, entry: ServoModel) -> Limit:
     """Return a limit as it is in force: of a servo that caps no current the share of its PWM."""
     if limit.name not in ("current", "jog_current") or not by_pwm(entry):
         return limit
@@ -312,7 +305,7 @@ def shown(limit: Limit, entry: Entry) -> Limit:
     return Limit("pwm" if limit.name == "current" else "jog_pwm", share, "%", limit.by, why)
 
 
-def _current(safety: Safety, entry: Entry, calibration: Calibration, k: int) -> tuple[float, str, str]:
+def _current(safety: Safety, entry: ServoModel, calibration: Calibration, k: int) -> tuple[float, str, str]:
     """Return the current (mA) at which servo `k` may pull its tendon as hard as the finger allows."""
     assert safety.tension is not None
     if safety.unit != "mm":

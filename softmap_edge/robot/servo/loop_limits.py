@@ -7,15 +7,14 @@ tests/robot/test_controller.py and, for what the guard makes of it, by the tests
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import cast
 
 from softmap_edge import _core
 from softmap_edge.errors import ServoError
 from softmap_edge.model.safety import BURST, HOLD, JUMP, RAMP, SLACKEN, STALE, TURNS_A_SECOND
 from softmap_edge.robot.servo.conditions import JOG_TRAVEL
-from softmap_edge.robot.servo.models import Entry, servo_model
-
-Table = dict[str, Any]
+from softmap_edge.robot.servo.loop_types import LoopLimits, ServoLimits
+from softmap_edge.robot.servo.models import ServoModel, servo_model
 
 RATE = 100.0  # periods a second: what one adapter at 1 Mbaud carries with room to spare
 SLEW = 2000.0  # ticks/s; 7 mm of tendon a second on a spool of 2.2 mm
@@ -29,7 +28,7 @@ JOG_SLEW, JOG_CURRENT = 200.0, 150.0  # ticks/s, mA: what a jog may do
 COOL = (15.0, 5.0)  # °C below its own limit at which a servo's current is cut back, and at which it slackens
 
 
-def servo_limits(model: str, home: int, window: tuple[float, float]) -> Table:
+def servo_limits(model: str, home: int, window: tuple[float, float]) -> ServoLimits:
     """Return the limits of one servo by its model's data.
 
     Args:
@@ -51,16 +50,16 @@ def servo_limits(model: str, home: int, window: tuple[float, float]) -> Table:
         "following": following(SLEW),
         "warm": entry["temperature_limit_C"] - COOL[0],
         "hot": entry["temperature_limit_C"] - COOL[1],
-        "voltage": tuple(entry["voltage_V"]),
+        "voltage": entry["voltage_V"],
     }
 
 
-def strongest(entry: Entry) -> float:
+def strongest(entry: ServoModel) -> float:
     """Return the current (mA) at which a servo gives the most that it may: its limit, or its stall if it has none."""
     return float(entry["current_limit_mA"] or entry["stall_current_mA"])
 
 
-def slowed(entry: Entry, current: float) -> float:
+def slowed(entry: ServoModel, current: float) -> float:
     """Return the fastest turn, ticks/s, of a servo under a cap of `current` mA: less PWM is less speed too."""
     real = float(entry["fastest_ticks_per_s"])
     return real if entry["current_limit_mA"] is not None else real * min(1.0, current / entry["stall_current_mA"])
@@ -75,7 +74,7 @@ def following(slew: float) -> float:
     return min(max(NEAR, BEHIND * slew), float(_core.limit_ranges()["following"][1]))
 
 
-def loop_limits(servos: Sequence[Table], rate: float = RATE, **changes: Any) -> Table:
+def loop_limits(servos: Sequence[ServoLimits], rate: float = RATE, **changes: object) -> LoopLimits:
     """Return the limits of a robot of `servos` (`servo_limits`) whose loop runs at `rate` (1/s), checked.
 
     Raises:
@@ -85,8 +84,8 @@ def loop_limits(servos: Sequence[Table], rate: float = RATE, **changes: Any) -> 
         raise ServoError(f"a rate of {rate:g} a second; allowed is 10 to 2000")
     period = 1.0 / rate
     window = max(float(one["high"] - one["low"]) for one in servos) if servos else 1.0
-    table: Table = {
-        "servos": [dict(one) for one in servos],
+    table: LoopLimits = {
+        "servos": [one.copy() for one in servos],
         "period": period,
         "stale": max(STALE, 3 * period),
         "hold": HOLD,
@@ -106,6 +105,6 @@ def loop_limits(servos: Sequence[Table], rate: float = RATE, **changes: Any) -> 
     unknown = [name for name in changes if name not in table]
     if unknown:
         raise ServoError(f"no limit '{unknown[0]}'; there are {', '.join(table)}")
-    table |= changes
+    table = cast(LoopLimits, table | changes)
     _core.check_limits(table)
     return table

@@ -6,15 +6,33 @@ a current sensor has None for its currents. Pinned by tests/robot/test_rig_file.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TypedDict
 
 from softmap_edge import _core
 from softmap_edge.errors import ServoError
 
-Entry = dict[str, Any]
+
+class ServoModel(TypedDict):
+    """What is known of a model; None for currents of a model without a sensor."""
+
+    name: str
+    number: int
+    baud_rates: list[int]
+    operating_mode: int
+    capped_by: str  # register that caps the torque
+    current_limit: int | None  # register units
+    current_limit_mA: float | None
+    current_unit_mA: float | None
+    stall_current_mA: float
+    stall_torque_Nm: float
+    pwm_limit: int
+    velocity_limit: int
+    fastest_ticks_per_s: float
+    temperature_limit_C: float
+    voltage_V: tuple[float, float]
 
 
-def servo_model(name: str) -> Entry:
+def servo_model(name: str) -> ServoModel:
     """Return what is known of the model of this name.
 
     Raises:
@@ -26,6 +44,6 @@ def servo_model(name: str) -> Entry:
     return known[name]
 
 
-def numbered(number: int) -> Entry | None:
+def numbered(number: int) -> ServoModel | None:
     """Return what is known of the model that tells this number, None of a stranger."""
     return next((model for model in _core.servo_models() if model["number"] == number), None)

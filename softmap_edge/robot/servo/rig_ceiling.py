@@ -1,17 +1,21 @@
 """What a bench allows all of its servos at most: `[ceiling]` of its `rig.toml`; a servo's own stands behind its id.
 
-It stands in place of softmap's own cautious defaults; a bundle's `safety.toml` can only tighten it (`combined.py`).
-Pinned by tests/robot/test_limits.py.
+It stands in place of softmap's own cautious defaults; a bundle's `safety.toml` can only tighten it (`limits.py`).
+Pinned by tests/robot/test_limits.py and tests/robot/test_bench_limits.py.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 from softmap_edge import _core
 from softmap_edge.errors import ServoError
 from softmap_edge.files.toml import TomlTable
+
+if TYPE_CHECKING:
+    from softmap_edge.robot.servo.rig import Rig
 
 Value = float | tuple[float, float]
 
@@ -24,6 +28,7 @@ RANGES: Mapping[str, tuple[float, float]] = {
     for name, (low, high, _) in _core.limit_ranges().items()
     if name not in OTHERS
 }
+OF_EACH = ("low", "high", "slew", "acceleration", "current_mA", "following", "warm", "hot")  # of each servo
 
 
 @dataclass(frozen=True)
@@ -66,3 +71,44 @@ def read_ceiling(table: TomlTable) -> Ceiling:
     if isinstance(warm, float) and isinstance(hot, float) and warm > hot:
         raise ServoError(f"{table.where}: warm = {warm:g}, expected at most hot = {hot:g} °C")
     return ceiling
+
+
+def check_bench(rig: Rig, limits: Mapping[str, Any]) -> None:
+    """Refuse limits of a robot that its bench does not allow.
+
+    Raises:
+        ServoError: a servo's home is another than the one of the rig, which is the one that is proved, or a limit lies
+            above the ceiling.
+    """
+    for k, servo in enumerate(rig.servos):
+        home = limits["servos"][k]["home"]
+        if servo.home is not None and home != servo.home:
+            raise ServoError(
+                f"servo {servo.id}: the limits are about home at {home}, the rig's is {servo.home}; make the limits of "
+                "the rig (`combined`, or `servo_limits` with its home)"
+            )
+    for where, name, value, most in _both(rig, limits):
+        pairs = zip(value, most) if isinstance(value, (list, tuple)) else [(value, most)]
+        for one, end in pairs:
+            if one is not None and (one < end if name in AT_LEAST else one > end):
+                raise ServoError(
+                    f"{where}{name} is {one:g}, the rig allows {end:g}; make the limits of the rig (`combined`), or "
+                    "change its [ceiling] knowingly"
+                )
+
+
+def _both(rig: Rig, limits: Mapping[str, Any]) -> Iterator[tuple[str, str, Any, Any]]:
+    """Give each limit that the bench sets: of which servo, its name, its value and the ceiling."""
+    for name in RANGES:
+        most = rig.ceiling.get(name)
+        if name not in OF_EACH:
+            if most is not None:
+                yield "", name, limits[name], most
+            continue
+        for servo, table in zip(rig.servos, limits["servos"]):
+            value = table["current" if name == "current_mA" else name]
+            if name in ("low", "high"):
+                value -= table["home"]
+            for end in (most, getattr(servo, name, None)):
+                if end is not None:
+                    yield f"servo {servo.id}: ", name, value, end

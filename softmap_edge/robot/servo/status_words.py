@@ -5,12 +5,13 @@ Whatever shows them to somebody takes them from here. Pinned by tests/robot/test
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any, Literal
+from collections.abc import Sequence
+from typing import Literal
 
 from softmap_edge.robot.remedies import parted
 from softmap_edge.robot.servo.conditions import COOL_DOWN, POWER, denied_for
 from softmap_edge.robot.servo.known_state import hardware
+from softmap_edge.robot.servo.loop_types import BusCounts, LoopLimits, LoopReport
 
 Level = Literal["off", "ready", "driving", "holding", "fault"]
 
@@ -70,7 +71,6 @@ STATES = {
     "commissioning": "Commissioning",
     "fault": "Fault, torque is off",
 }
-BUS = ("asked", "lost", "damaged", "unasked")  # counts of answers in a report
 MANY_LOST = 0.01  # share of lost answers that is reported
 REMEDIES = {  # of causes; what is left out needs none
     "late": "check the cables of the bus, and close what else loads this computer",
@@ -89,18 +89,18 @@ LOSES_HOME = ("silent", "hardware", "following", "lost", "dropped", "tripped")  
 QUIET = ("engaged", "ready")  # states in which the cause is that of what was before
 
 
-def level(report: dict[str, Any]) -> Level:
+def level(report: LoopReport) -> Level:
     """Return the kind of state that a report tells, of which each has a colour."""
     return LEVELS.get(str(report.get("state", "off")), "off")
 
 
-def state(report: dict[str, Any]) -> str:
+def state(report: LoopReport) -> str:
     """Return the short name of the state that a report tells."""
     name = str(report.get("state", "off"))
     return NAMES.get(name, name)
 
 
-def cause(report: dict[str, Any], limits: Mapping[str, object] | None = None) -> str:
+def cause(report: LoopReport, limits: LoopLimits | None = None) -> str:
     """Return why it is in that state, "" if the report names no cause; with `limits` with the value and its limit."""
     name, servo = str(report.get("cause", "none")), report.get("servo")
     if name == "hardware" and (said := errors(report)):
@@ -114,7 +114,7 @@ def cause(report: dict[str, Any], limits: Mapping[str, object] | None = None) ->
     return why
 
 
-def errors(report: dict[str, Any]) -> str:
+def errors(report: LoopReport) -> str:
     """Return the hardware errors of the servos as text; "" if there are none."""
     known = report.get("hardware") or []
     ids = report.get("ids") or list(range(1, len(known) + 1))
@@ -122,9 +122,9 @@ def errors(report: dict[str, Any]) -> str:
     return ", ".join(said)
 
 
-def bus(report: dict[str, Any]) -> str:
+def bus(counts: BusCounts) -> str:
     """Return a sentence on answers that were lost or not asked for; "" if there are none."""
-    asked, lost, damaged, unasked = (int(report.get(name) or 0) for name in BUS)
+    asked, lost, damaged, unasked = counts["asked"], counts["lost"], counts["damaged"], counts["unasked"]
     said = [f"{unasked} answers came that this program did not ask for"] if unasked else []
     said += [f"{lost} of {asked} answers of the servos were lost"] if lost > MANY_LOST * asked else []
     said += [f"{damaged} were damaged"] if said and damaged else []
@@ -132,13 +132,13 @@ def bus(report: dict[str, Any]) -> str:
     return f"{', '.join(said)}; {why}" if said else ""
 
 
-def where(report: dict[str, Any], limits: Mapping[str, object] | None = None) -> str:
+def where(report: LoopReport, limits: LoopLimits | None = None) -> str:
     """Return state and cause as part of a sentence: `in state slackening (no target came in time)`."""
     why = cause(report, limits)
     return f"in state {state(report)}" + (f" ({why})" if why else "")
 
 
-def onward(report: dict[str, Any], *, terminal: bool = False, bench: bool = True) -> str:
+def onward(report: LoopReport, *, terminal: bool = False, bench: bool = True) -> str:
     """Return what to do in a state that follows no commands.
 
     Args:
@@ -149,14 +149,14 @@ def onward(report: dict[str, Any], *, terminal: bool = False, bench: bool = True
     return _typed(report, bench) if terminal else _called(report)
 
 
-def _typed(report: dict[str, Any], bench: bool) -> str:
+def _typed(report: LoopReport, bench: bool) -> str:
     """Return what to do at the command line, where the same command is run again."""
     home = "home the robot again (`softmap servo home --rig FILE`)" if bench and _unhomed(report) else ""
     steps = [_remedy(report), home]
     return ", then ".join([*filter(None, steps), "run the same command again"])
 
 
-def _called(report: dict[str, Any]) -> str:
+def _called(report: LoopReport) -> str:
     """Return what a program does: the remedy, and the methods of a Controller that lead on."""
     state, why = report.get("state", "off"), report.get("cause")
     if state == "fault" and why == "loop":
@@ -174,25 +174,26 @@ def _called(report: dict[str, Any]) -> str:
     return 'call request("arm") and engage() first' if state == "homed" else "call engage() first"
 
 
-def _remedy(report: dict[str, Any]) -> str:
+def _remedy(report: LoopReport) -> str:
     """Return what removes the cause, "" if nothing has to."""
     why = str(report.get("cause"))
     return restarts(report) if why == "hardware" else REMEDIES.get(why, "")
 
 
-def _unhomed(report: dict[str, Any]) -> bool:
+def _unhomed(report: LoopReport) -> bool:
     """Return whether home has to be proved again."""
     state = report.get("state", "off")
     return state in ("off", "connected") or (state == "fault" and report.get("cause") in LOSES_HOME)
 
 
-def restarts(report: dict[str, Any]) -> str:
+def restarts(report: LoopReport) -> str:
     """Return the remedy for a servo with a hardware error."""
-    ids = [id for id, bits in zip(report.get("ids") or [], report.get("hardware") or []) if bits] or ["N"]
-    return f"find the cause, restart it (`softmap servo reboot --rig FILE --id {ids[0]}`, or its supply off and on)"
+    ids = [id for id, bits in zip(report.get("ids") or [], report.get("hardware") or []) if bits]
+    id = ids[0] if ids else "N"
+    return f"find the cause, restart it (`softmap servo reboot --rig FILE --id {id}`, or its supply off and on)"
 
 
-def denied(said: str, report: dict[str, Any] | None = None, limits: Mapping[str, object] | None = None) -> str:
+def denied(said: str, report: LoopReport | None = None, limits: LoopLimits | None = None) -> str:
     """Return why a request was denied, of what the loop's report says: `from(ready)`, `trouble(late)`, `torque`, …"""
     kind, _, of = said.rstrip(")").partition("(")
     if named := denied_for(of or kind, report or {}, limits):
@@ -204,7 +205,7 @@ def denied(said: str, report: dict[str, Any] | None = None, limits: Mapping[str,
     return DENIED[kind].format(why) if kind in DENIED else said
 
 
-def sentence(report: dict[str, Any]) -> str:
+def sentence(report: LoopReport) -> str:
     """Return what the guard's newest report says, and why."""
     name = str(report.get("state", "off"))
     said = STATES.get(name, name)
@@ -215,7 +216,7 @@ def sentence(report: dict[str, Any]) -> str:
     return f"{said}: {why}" + (f" ({rescued})" if rescued else "") if why else said
 
 
-def limits(report: dict[str, Any]) -> list[str]:
+def limits(report: LoopReport) -> list[str]:
     """Return what the guard keeps the targets from."""
     told = {
         "outside": "at the edge of the window",
@@ -226,7 +227,7 @@ def limits(report: dict[str, Any]) -> list[str]:
     return [text for key, text in told.items() if report.get(key)]
 
 
-def lost(report: dict[str, Any], why: str) -> str:
+def lost(report: LoopReport, why: str) -> str:
     """Return why driving ended, where the guard's report does not say so, and what leads on."""
     state = str(report.get("state", "off"))
     again = "release the key and press it again"
@@ -237,3 +238,10 @@ def lost(report: dict[str, Any], why: str) -> str:
     elif state in ("fault", "homed"):
         again = "let go of the key, then reset the fault"
     return again if why == sentence(report) else f"driving ended: {why}; {again}"
+
+
+def kept_words(ids: Sequence[int]) -> str:
+    """Return what is to be said of servos that have not confirmed that their torque is off."""
+    which, several = ", ".join(map(str, ids)), len(ids) > 1
+    who, its, it = ("servos", "their", "they answer") if several else ("servo", "its", "it answers")
+    return f"{who} {which} did not confirm that {its} torque is off; cut {its} supply, or `softmap servo off` once {it}"

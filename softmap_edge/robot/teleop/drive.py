@@ -21,6 +21,7 @@ from softmap_edge.errors import ServoError
 from softmap_edge.robot.control.controller import Controller
 from softmap_edge.robot.motion.kinematics import Kinematics
 from softmap_edge.robot.servo import status_words as words
+from softmap_edge.robot.servo.loop_types import LoopReport
 from softmap_edge.robot.teleop.busy import Busy
 from softmap_edge.robot.teleop.clutch import Clutch
 from softmap_edge.robot.teleop.gesture import Deadman, Rule
@@ -79,7 +80,7 @@ class DriveState:
     where the finger is and is led to in the plane (mm), and how old (s) what is driven from is."""
 
     t: float
-    report: dict[str, Any]
+    report: LoopReport
     clutch: Clutch
     controls: Controls
     sight: HandObservation | None
@@ -234,7 +235,7 @@ class Drive:
     def _old(self, t: float, now: float) -> bool:
         return self._busy.age(t, now) > SEEN
 
-    def _press(self, state: str, report: dict[str, Any], controls: Controls) -> None:
+    def _press(self, state: str, report: LoopReport, controls: Controls) -> None:
         """Begin: what is seen now stands for where the finger is."""
         self.account.presses += 1
         self._own.begin(self._held_by, -np.inf if self._smooth is None else self._smooth.t)
@@ -299,12 +300,13 @@ class Drive:
 
     # --- what it looks like -------------------------------------------------------------
 
-    def _here(self, report: dict[str, Any]) -> Floats:
+    def _here(self, report: LoopReport) -> Floats:
         """Where the finger is in the plane, by the goals that were sent last, or where the servos are."""
-        ticks = report.get("goal") or []
-        if None in ticks or not ticks:
-            ticks = report.get("position") or []
-        if None in ticks or not ticks:
+        ticks: list[int] = []
+        for values in (report.get("position"), report.get("goal")):
+            known = [one for one in values or [] if one is not None]
+            ticks = known if known and len(known) == len(values or []) else ticks
+        if not ticks:
             return np.zeros(2)
         u = self._robot.calibration.commands([ticks])[0]
         acting = self._settled.settle(np.clip(u, *self._kinematics.bounds.T))
@@ -320,8 +322,8 @@ class Drive:
         self.account.states[state] = self.account.states.get(state, 0.0) + passed
         self.account.engaged_s += passed if self._clutch.stage == "driving" else 0.0
 
-    def _over(self, report: dict[str, Any]) -> None:
-        why = next((str(report[key]) for key in GONE if report.get(key)), "")
+    def _over(self, report: LoopReport) -> None:
+        why = next((str(value) for key in GONE if (value := report.get(key))), "")
         if why:
             self.account.ended, self.account.failed = why, True
         elif self._eyes.over:
@@ -329,7 +331,7 @@ class Drive:
         elif self._eyes.gone and not self._stays and self._robot.state not in ("engaged", "hold", "safe_stop"):
             self.account.ended, self.account.failed = self._eyes.gone, True  # once it has slackened
 
-    def _tell(self, report: dict[str, Any]) -> None:
+    def _tell(self, report: LoopReport) -> None:
         said = words.sentence(report)
         if self._clutch.stage == "lost":
             said += f"; {words.lost(report, self._clutch.why)}"
