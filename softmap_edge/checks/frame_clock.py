@@ -85,6 +85,11 @@ class FrameClock:
             )
         if self.fast_ppm is None or self.sigma_ppm is None:
             return "the moves of this run do not show how fast the clock of the frames runs"
+        if not self.runs_fast:
+            return (
+                f"the clocks of the frames and of the commands agree within {abs(self.fast_ppm):.0f} ± "
+                f"{self.sigma_ppm:.0f} ppm; nothing is to be corrected"
+            )
         late = 1e-6 * self.fast_ppm * self.duration_s
         way = "fast" if self.fast_ppm > 0 else "slow"
         return (
