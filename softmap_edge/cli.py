@@ -131,7 +131,7 @@ def _run(command: Command, argv: list[str]) -> int:
         namespace = parser.parse_args(argv)
     except SystemExit as stop:  # argparse has printed why
         return int(stop.code or 0)
-    options = vars(module).get(f"{command.function.title().replace('_', '')}Options")  # none of a group's actions
+    options = vars(module).get(command.options)  # none where actions have their own
     args = namespace if options is None else options(**vars(namespace))
     try:
         with printing_warnings(command.name) as incomplete:
