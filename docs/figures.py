@@ -15,7 +15,7 @@ import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 
-sys.path.insert(0, str(Path(__file__).parents[1]))  # benches/ stands beside docs/
+sys.path.insert(0, str(Path(__file__).parents[1]))  # benches/ is next to docs/
 from benches.data import find
 from benches.moe import load
 from softmap_edge import builtin_model, diagnose, series
@@ -25,7 +25,7 @@ from softmap_edge.report.figures import AFTER, BEFORE, FAINT, INK, STYLE, WIDE, 
 from softmap_edge.run.protocol import Protocol, other_protocol, standard_protocol
 from softmap_edge.synthetic.finger import hide
 
-SEED = 1  # of the second finger; any other tells the same story with other numbers
+SEED = 1  # of the second finger; any other gives the same picture with other numbers
 
 
 def plan(protocol: Protocol) -> bytes:
@@ -95,7 +95,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     (args.out / "error_ladder.svg").write_bytes(ladder_bars(found.to_dict()["error"]))
     (args.out / "protocol.svg").write_bytes(plan(standard_protocol(model.channels)))
     if (folder := find("moe_finger")) is None:
-        print("mesh.svg is not drawn anew: the mesh is absent (make data brings it)")
+        print("mesh.svg is not drawn again: the mesh is absent (make data brings it)")
     else:
         (args.out / "mesh.svg").write_bytes(mesh_and_bricks(folder))
     print(found.sentence)

@@ -15,7 +15,7 @@ import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 
-sys.path.insert(0, str(Path(__file__).parents[1]))  # benches/ stands beside docs/
+sys.path.insert(0, str(Path(__file__).parents[1]))  # benches/ is next to docs/
 from benches.beam import LOADS_G, NEWTON_PER_G, fitted, read
 from benches.data import find_or_say
 from softmap_edge import Finger, Run, Simulator

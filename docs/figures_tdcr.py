@@ -16,7 +16,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-sys.path.insert(0, str(Path(__file__).parents[1]))  # benches/ stands beside docs/
+sys.path.insert(0, str(Path(__file__).parents[1]))  # benches/ is next to docs/
 from benches.data import find_or_say
 from benches.tdcr import read, rods
 from softmap_edge import Run

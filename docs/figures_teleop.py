@@ -23,7 +23,7 @@ from typing import Any
 
 from websockets.sync.client import ClientConnection, connect
 
-sys.path.insert(0, str(Path(__file__).parents[1]))  # benches/ stands beside docs/
+sys.path.insert(0, str(Path(__file__).parents[1]))  # benches/ is next to docs/
 from benches.data import find
 
 SIZE = (1180, 740)  # pixels of the window
@@ -40,13 +40,13 @@ class ChromiumError(RuntimeError):
 
 
 def ask(page: ClientConnection, method: str, **params: Any) -> dict[str, Any]:
-    """Ask the browser for something, and return its answer; what it tells unasked is left out."""
+    """Ask the browser for something, and return its answer; other messages are left out."""
     page.send(json.dumps({"id": 1, "method": method, "params": params}))
-    while (told := json.loads(page.recv(timeout=20))).get("id") != 1:
+    while (answer := json.loads(page.recv(timeout=20))).get("id") != 1:
         pass
-    if "error" in told:
-        raise ChromiumError(f"chromium: {method}: {told['error']['message']}")
-    found: dict[str, Any] = told["result"]
+    if "error" in answer:
+        raise ChromiumError(f"chromium: {method}: {answer['error']['message']}")
+    found: dict[str, Any] = answer["result"]
     return found
 
 
@@ -64,13 +64,13 @@ def browser(url: str) -> Iterator[ClientConnection]:
         command = ["chromium", *options, f"--window-size={SIZE[0]},{SIZE[1]}", url]
         process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
         try:
-            told = Path(folder) / "DevToolsActivePort"
+            port_file = Path(folder) / "DevToolsActivePort"
             until = time.monotonic() + 30
-            while not told.exists() or not told.read_text().strip():
+            while not port_file.exists() or not port_file.read_text().strip():
                 if time.monotonic() > until or process.poll() is not None:
                     raise SystemExit("chromium did not start")
                 time.sleep(0.1)
-            port = told.read_text().split()[0]
+            port = port_file.read_text().split()[0]
             with urllib.request.urlopen(f"http://127.0.0.1:{port}/json") as answer:
                 pages = [tab for tab in json.load(answer) if tab["type"] == "page"]
             with connect(pages[0]["webSocketDebuggerUrl"], max_size=None, compression=None) as page:
@@ -98,10 +98,10 @@ def teleop_page(clip: Path) -> bytes | None:
     program = subprocess.Popen(command, stdin=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
     try:
         assert program.stderr is not None
-        said = next((line for line in program.stderr if line.startswith("open ")), None)
-        if said is None:
+        link = next((line for line in program.stderr if line.startswith("open ")), None)
+        if link is None:
             raise SystemExit("softmap teleop did not start")
-        with browser(said.split()[1]) as page:
+        with browser(link.split()[1]) as page:
             until = time.monotonic() + LONGEST
             while not look(page)[0] and time.monotonic() < until:
                 time.sleep(0.1)
@@ -130,12 +130,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     folder = find("hand")
     if shutil.which("chromium") is None or folder is None:
         absent = "the clip of a hand (make data brings it)" if folder is None else "the command chromium"
-        print(f"teleop.jpg is not drawn anew: {absent} is absent")
+        print(f"teleop.jpg is not drawn again: {absent} is absent")
         return 0
     args.out.mkdir(parents=True, exist_ok=True)
     picture = next((made for _ in range(TRIES) if (made := teleop_page(folder / "hand.mp4")) is not None), None)
     if picture is None:
-        print(f"teleop.jpg is not drawn anew: driving ended early {TRIES} times; try when the computer is less busy")
+        print(f"teleop.jpg is not drawn again: driving ended early {TRIES} times; try when the computer is less busy")
         return 1
     (args.out / "teleop.jpg").write_bytes(picture)
     return 0

@@ -1,9 +1,9 @@
 """Write docs/reference/effects.md and its pictures from the registry: `python docs/make_effects.py`.
 
-A picture shows one recording without and with the effect. Effects on commands, at their start: what is told and what
-acts over time, then what the effect adds against what is told, or the plane of both channels where one moves the other.
-Effects on the shape and on what is seen, at mid-range: postures of the built-in finger, then what is added at its tip;
-those that change a number of the prior, on an elastic rod of the same length.
+A picture shows one recording without and with the effect. Effects on commands, at their start: the commanded and
+the effective command over time, then what the effect adds, over the command. If one channel moves the other, the plane
+of both channels is shown. Effects on the shape and on sensing, at their typical strength: postures of the built-in
+finger, then what is added at its tip. Those that change a number of the prior: on an elastic rod of the same length.
 """
 
 from __future__ import annotations
@@ -92,8 +92,8 @@ def load_errors() -> dict[str, tuple[float, float, float]]:
         truth = simulator.path(u, gravity=gravity, load=NEWTON_PER_GRAM * grams * gravity) - bare
         loaded = Run(t=t, command=u, t_seen=t, gravity=gravity, load=np.full(len(u), grams))
         misses = []
-        for told in (model, model.with_structure(second=None)):
-            moved = told.predict(loaded) - told.predict(Run(t=t, command=u, t_seen=t))
+        for one in (model, model.with_structure(second=None)):
+            moved = one.predict(loaded) - one.predict(Run(t=t, command=u, t_seen=t))
             misses.append(_rms(moved - truth))
         found[name] = (misses[0], misses[1], _rms(truth))
     return found
@@ -166,11 +166,11 @@ def _rod() -> _core.Predictor:
 
 
 def _channel(figure: Figure, t: Floats, u: Floats, acts: Floats) -> None:
-    """Draw what is told and what acts over time, and what the effect adds; t (T,) s, u and acts (T, 2) mm."""
+    """Draw the commanded u and the effective command `acts` (T, 2) mm over t (T,) s, and what the effect adds."""
     time, plane = figure.subplots(1, 2, width_ratios=[1.7, 1.0])
     for c, line in enumerate(("-", (0, (3, 2)))):
-        time.plot(t, u[:, c], color=BEFORE, linewidth=1.0, linestyle=line, label=f"told, channel {c}")
-        time.plot(t, acts[:, c], color=AFTER, linewidth=1.4, linestyle=line, label=f"acts, channel {c}")
+        time.plot(t, u[:, c], color=BEFORE, linewidth=1.0, linestyle=line, label=f"commanded, channel {c}")
+        time.plot(t, acts[:, c], color=AFTER, linewidth=1.4, linestyle=line, label=f"effective, channel {c}")
     time.set(xlabel="time, s", ylabel="mm")
     time.legend(loc="lower left", ncols=2, frameon=False, fontsize=7.5)
     time.set_ylim(np.min([u, acts]) - 7.0, None)
@@ -184,7 +184,7 @@ def _channel(figure: Figure, t: Floats, u: Floats, acts: Floats) -> None:
         added = acts[:, 0] - u[:, 0]
         plane.plot(u[:, 0], added, color=AFTER, linewidth=1.2)
         plane.set_ylim(1.1 * min(added.min(), -0.02), 1.1 * max(added.max(), 0.02))
-        plane.set(xlabel="told, channel 0, mm", ylabel="added, mm")
+        plane.set(xlabel="commanded, channel 0, mm", ylabel="added, mm")
     for axes in (time, plane):
         axes.grid(color=FAINT, linewidth=0.8)
 
@@ -208,7 +208,7 @@ def _seen(figure: Figure, t: Floats, moments: Floats, before: Floats, after: Flo
 
 
 def page(loads: str) -> str:
-    """Return the whole page as text; `loads` is the table of what loads miss."""
+    """Return the page as text; `loads` is the table of the errors under loads."""
     effects = _core.effects()
     rows = [f"| [{e['name']}](#{e['name']}) | {e['stage']} | {e['family']} | `{e['formula']}` |" for e in effects]
     index = "\n".join(["| effect | stage | family | form |", "|---|---|---|---|", *rows])

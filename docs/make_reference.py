@@ -17,7 +17,7 @@ import re
 import sys
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).parent))  # schemas.py stands beside this file
+sys.path.insert(0, str(Path(__file__).parent))  # schemas.py is next to this file
 from schemas import SCHEMAS
 
 from softmap_edge import _core, cli
@@ -118,14 +118,16 @@ def filled(page: str, **tables: list[str]) -> str:
 
 def commands_page() -> str:
     """Return the page of all commands with their options."""
-    verbs = cli.commands_here()
+    commands = cli.commands_here()
     parts = [COMMANDS_HEAD]
-    for group in dict.fromkeys(verb.group for verb in verbs):
+    for group in dict.fromkeys(one.group for one in commands):
         parts += [f"| {group} | |", "|---|---|"]
-        parts += [f"| [{v.name}](#{v.name.replace(' ', '-')}) | {_cell(v.help)} |" for v in verbs if v.group == group]
+        parts += [
+            f"| [{v.name}](#{v.name.replace(' ', '-')}) | {_cell(v.help)} |" for v in commands if v.group == group
+        ]
         parts.append("")
-    for verb in verbs:
-        parts.append(_command(verb))
+    for one in commands:
+        parts.append(_command(one))
     parts += [
         "## Old names",
         "",
@@ -138,20 +140,20 @@ def commands_page() -> str:
     return "\n".join(parts) + "\n"
 
 
-def _command(verb: Command) -> str:
-    parser = cli.parser_of(verb)
-    lines = [f"## {verb.name}", "", _sentence(verb.help), ""]
-    if verb.examples:
-        lines += ["```text", *(f"softmap {example}" for example in verb.examples), "```", ""]
-    if verb.page:
-        (page,) = (ROOT / "docs").rglob(f"{verb.page}.md")
+def _command(command: Command) -> str:
+    parser = cli.parser_of(command)
+    lines = [f"## {command.name}", "", _sentence(command.help), ""]
+    if command.examples:
+        lines += ["```text", *(f"softmap {example}" for example in command.examples), "```", ""]
+    if command.page:
+        (page,) = (ROOT / "docs").rglob(f"{command.page}.md")
         lines += [f"Page: [{page.stem}]({os.path.relpath(page, ROOT / FOLDER)})", ""]
     lines += _options(parser)
     for action in parser._actions:
         if isinstance(action, argparse._SubParsersAction):
             helps = {one.dest: one.help or "" for one in action._choices_actions}
             for name, below in action.choices.items():
-                lines += [f"### {verb.name} {name}", "", _sentence(helps.get(name, "")), "", *_options(below)]
+                lines += [f"### {command.name} {name}", "", _sentence(helps.get(name, "")), "", *_options(below)]
     return "\n".join(lines)
 
 

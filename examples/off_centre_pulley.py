@@ -8,7 +8,7 @@ EFFECT = {
     "stage": "command",
     "formula": "x = u + a · sin(u / radius) + b · (cos(u / radius) − 1)",
     "doc": "The spool of each channel turns about a point off its middle.",
-    "signature": "Periodic in the command, the same on the way there and back.",
+    "signature": "Periodic in the command, the same in loading and unloading.",
     "parameters": [
         {"name": "a", "unit": "mm", "null": 0, "start": 0.3, "low": -2, "high": 2, "doc": "odd", "per_channel": True},
         {"name": "b", "unit": "mm", "null": 0, "start": 0.3, "low": -2, "high": 2, "doc": "even", "per_channel": True},

@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 
 from softmap_edge import _core
 from softmap_edge.errors import BundleError, SoftmapError, brief
+from softmap_edge.files.atomic import Document
 from softmap_edge.files.child import ChildFault, in_child
 from softmap_edge.model.manifest import MAX_ONNX_BYTES
 
@@ -45,7 +46,7 @@ NODES = {1: 201, 2: 61, 3: 21}  # of a table, by channels; of smooth networks 0.
 
 def read_network(
     file: Path, command_range: Floats, prior: Mapping[str, object], trusted: Callable[[Path, str], bool]
-) -> tuple[Arrays, dict[str, Any] | None]:
+) -> tuple[Arrays, Document | None]:
     """Read an ONNX file: the arrays of its shape, and a description if only onnxruntime can read it.
 
     One that training wrote stays a network (`onnx`); another becomes a table.
@@ -108,7 +109,7 @@ def compare_with_onnxruntime(name: str, content: bytes, command_range: Floats) -
 
 def table_from_onnxruntime(
     name: str, content: bytes, command_range: Floats, prior: Mapping[str, object], why: str
-) -> tuple[Arrays, dict[str, Any]]:
+) -> tuple[Arrays, Document]:
     """Return the arrays of a table of a graph that only onnxruntime runs, and a description of it.
 
     Args:

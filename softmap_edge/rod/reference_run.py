@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from softmap_edge import _core
 from softmap_edge.errors import RunError
+from softmap_edge.files.atomic import Document
 from softmap_edge.model.basis import SQUARES, Basis
 from softmap_edge.model.servo_calibration import from_home
 from softmap_edge.rod.regression import Drive, Record, rms
@@ -52,7 +53,7 @@ class FittedNumber:
     at_bound: bool
     note: str = ""
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> Document:
         """Return it as documents have it, to six digits."""
         return asdict(self) | {"value": float(f"{self.value:.6g}"), "sigma": float(f"{self.sigma:.3g}")}
 
@@ -145,7 +146,7 @@ class Fitted:
     memory: Memory
     residuals: Floats
     parts: Folds
-    made_from: Mapping[str, Any]
+    made_from: Document
     numbers: tuple[FittedNumber, ...] = ()
     basis: Basis = SQUARES
 

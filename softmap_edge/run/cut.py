@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.errors import RunError, no_name
+from softmap_edge.files.atomic import Document
 from softmap_edge.run import fields as run_fields
 from softmap_edge.run import pieces as run_pieces
 from softmap_edge.run.join import join_runs
@@ -100,7 +101,7 @@ def _part(run: Run, frames: slice, lead_s: float, start: float = np.inf, end: fl
     return dataclasses.replace(part, **_rows(run, rows), extra=extra)
 
 
-def _rows(run: Run, rows: slice) -> dict[str, Any]:
+def _rows(run: Run, rows: slice) -> Document:
     """Return the fields that have a row for each command, cut."""
     values = {name: getattr(run, name) for name, (axes, _) in run_fields.AXES.items() if axes.startswith("T")}
     return {

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.errors import RunError
+from softmap_edge.files.atomic import Document
 from softmap_edge.files.time_digits import differing
 from softmap_edge.run.output import Output, output_of
 
@@ -129,7 +130,7 @@ def text(name: str, value: NDArray[np.generic]) -> str:
     return found
 
 
-def outputs_from(stored: dict[str, NDArray[Any]]) -> dict[str, Any]:
+def outputs_from(stored: dict[str, NDArray[Any]]) -> Document:
     """Replace the fields of outputs in a file by those of a run; return these.
 
     A file may hold `output` (K, Q) in `output_unit`, as a person writes it, in place of markers and their scale.
@@ -137,7 +138,7 @@ def outputs_from(stored: dict[str, NDArray[Any]]) -> dict[str, Any]:
     Raises:
         RunError: a field is missing or of another kind.
     """
-    found: dict[str, Any] = {}
+    found: Document = {}
     if "timeless" in stored:
         found["timeless"] = bool(np.all(convert("visible", stored.pop("timeless"))))
     unit = text("output_unit", stored.pop("output_unit")) if "output_unit" in stored else None

@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from softmap_edge.errors import RunError
+from softmap_edge.files.atomic import Document
 from softmap_edge.files.npz import MAX_BYTES, read_npz, write_npz
 from softmap_edge.run import fields
 from softmap_edge.run.output import Output, output_of
@@ -77,7 +78,7 @@ def _load(path: str | os.PathLike[str], limit: int = MAX_BYTES) -> Run:
         raise RunError(f"{path}: {numbers:.3g} numbers, at most {MAX_NUMBERS:.3g} are read; cut it into shorter runs")
     try:
         stored: dict[str, NDArray[Any]] = dict(archive)
-        known: dict[str, Any] = {name: stored.pop(name) for name in fields.AXES if name in stored}
+        known: Document = {name: stored.pop(name) for name in fields.AXES if name in stored}
         for name in ("robot", "command_unit"):
             if name in stored:
                 known[name] = fields.text(name, stored.pop(name))
@@ -338,7 +339,7 @@ class Run:
         index = np.flatnonzero(chosen) if chosen.dtype == bool else chosen.astype(np.int64).reshape(-1)
         if index.size and (index.min() < -self.frames or index.max() >= self.frames):
             raise RunError(f"select: frame {index.max()}, the run has {self.frames}")
-        change: dict[str, Any] = {}
+        change: Document = {}
         for name in ("t_seen", "vertices", "markers", "visible", "block", "sigma"):
             value = getattr(self, name)
             if value is not None and value.ndim:

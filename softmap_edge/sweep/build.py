@@ -23,6 +23,7 @@ from softmap_edge import _core
 from softmap_edge.errors import SweepError, brief
 from softmap_edge.fem.build import FIELD_STEPS, Progress, from_sweep, leading, simulator_of
 from softmap_edge.fem.simulator import Sweep, tensor_grid
+from softmap_edge.files.atomic import Document
 from softmap_edge.geometry.centreline import Centreline, farthest, find_centreline
 from softmap_edge.geometry.sections import tip_of
 from softmap_edge.model.model import NOMINAL, Arrays, Model
@@ -79,7 +80,7 @@ def _as_from_its_finger(path: Path, report: Progress) -> Model:
     return from_sweep(sweep.finger, simulator_of(sweep.finger), sweep, report)
 
 
-def model_from_shapes(sweep: ShapeSweep, source: dict[str, Any] | None = None, progress: Progress = PROGRESS) -> Model:
+def model_from_shapes(sweep: ShapeSweep, source: Document | None = None, progress: Progress = PROGRESS) -> Model:
     """Return the model of a checked sweep; `source` joins `made_from`.
 
     Raises:
@@ -270,7 +271,7 @@ def _fields(sweep: ShapeSweep, line: Centreline, shape: Any, stiffness: Stiffnes
     return arrays | {f"coefficients_{name}": value.astype(kind) for name, value in values.items()}
 
 
-def _told(stiffness: Stiffness) -> dict[str, Any] | str:
+def _told(stiffness: Stiffness) -> Document | str:
     if not stiffness.known:
         return NOMINAL
     return {

@@ -28,6 +28,7 @@ from softmap_edge.fem.bodies import Meshed
 from softmap_edge.fem.cut import Cut
 from softmap_edge.fem.finger import Finger, Tendon
 from softmap_edge.fem.simulator import FingerTemplate, Simulator
+from softmap_edge.files.atomic import Document
 from softmap_edge.robot.emulated.laws import LAWS, BoucWen, Law, TrueWeight, rotation
 from softmap_edge.robot.emulated.named_laws import NAMED, check_hidden
 from softmap_edge.robot.emulated.published_map import PUBLISHED, ServoMap
@@ -154,7 +155,7 @@ class VirtualFinger:
         }
         return run, truth
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> Document:
         """Return what was drawn."""
         return {
             "seed": self.seed,

@@ -40,7 +40,7 @@ def test_a_picture_that_needs_a_browser_is_left_as_it_is_without_one(tmp_path, m
     monkeypatch.setattr("shutil.which", lambda name: None)
     monkeypatch.setattr("benches.data.find", lambda name: tmp_path)
     assert script(ROOT / "docs/figures_teleop.py").main(["--out", str(tmp_path / "pictures")]) == 0
-    assert "teleop.jpg is not drawn anew: the command chromium is absent" in capsys.readouterr().out
+    assert "teleop.jpg is not drawn again: the command chromium is absent" in capsys.readouterr().out
     assert not (tmp_path / "pictures").exists()
 
 

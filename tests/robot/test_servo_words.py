@@ -62,7 +62,7 @@ def test_what_leads_on_fits_the_state_and_home_is_lost_where_the_guard_loses_it(
     assert words.onward({"state": "ready"}) == "call engage() first"
     page = (Path(__file__).parents[2] / "docs/reference/safety.md").read_text(encoding="utf-8")
     rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in page.splitlines() if line.startswith("| ")]
-    lost = {row[0] for row in rows if len(row) == 4 and "home must be proved" in row[3]}
+    lost = {row[0] for row in rows if len(row) == 4 and "home the robot again" in row[3]}
     assert lost == set(words.LOSES_HOME)
 
 

@@ -87,7 +87,7 @@ def sentences(file: Path) -> Iterator[str]:
     text = re.sub(r"```.*?```|<[^>]*>", "", file.read_text("utf-8"), flags=re.S)
     for block in re.split(r"\n\s*\n", text):
         if not re.match(r"\s*(\||[-*] |\d+\. |#|    |!\[)", block):
-            yield from (s for s in re.split(r"(?<=[.:;!?])\s+", " ".join(block.split())) if s)
+            yield from (s for s in re.split(r"(?<=[.!?])\s+", " ".join(block.split())) if s)
 
 
 if __name__ == "__main__":

@@ -17,12 +17,12 @@ from numpy.typing import NDArray
 
 from softmap_edge import _core
 from softmap_edge.errors import CalibrationError, RunError, SoftmapError
+from softmap_edge.files.atomic import Document
 from softmap_edge.model.servo_calibration import Calibration
 from softmap_edge.robot.control.recording_damage import find_shortfall
 from softmap_edge.robot.servo.loop_types import BusCounts, LoopLimits, LoopReport, bus_counts
 from softmap_edge.run.run import CALIBRATION, Run
 
-Document = dict[str, Any]
 SETUP, LOOP = "/setup", "/loop"
 FARTHEST = 2.0**31  # ticks: what a servo's register of its position holds
 
