@@ -61,7 +61,7 @@ def _main(argv: list[str]) -> int:
         return _main([*[word for word in argv[1:] if not word.startswith("-")], "--help"])
     if argv[0] in RENAMED:
         new = RENAMED[argv[0]]
-        print(f"softmap: `softmap {argv[0]}` is now `softmap {new}`; the old name is gone after 0.1.0", file=sys.stderr)
+        print(f"softmap: '{argv[0]}' is now '{new}'; the old name is gone after 0.1.0", file=sys.stderr)
         argv = [*new.split(), *argv[1:]]
     name = " ".join(argv[:2]) if " ".join(argv[:2]) in known else argv[0]
     if name not in known:

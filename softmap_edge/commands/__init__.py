@@ -15,7 +15,7 @@ class Command:
 
     Attributes:
         name: one word, or two for an action of a group, such as `model adapt`
-        group: the question that it answers, a heading of `softmap help`
+        group: the question that it answers, a heading of the overview
         help: what it does, one line
         module: where its functions are; NAME there is the last word of `name`
         page: name of its page in the docs, without folder and ending

@@ -108,7 +108,7 @@ def test_an_old_name_works_and_says_the_new_one_in_one_line(old, capsys):
     assert main([old, "--help"]) == 0
     done = capsys.readouterr()
     assert done.out == told
-    assert done.err == f"softmap: `softmap {old}` is now `softmap {new}`; the old name is gone after 0.1.0\n"
+    assert done.err == f"softmap: '{old}' is now '{new}'; the old name is gone after 0.1.0\n"
 
 
 def test_help_alone_of_an_action_and_of_nothing(capsys):
