@@ -163,7 +163,7 @@ class Diagnosis:
         return diagnosis_text(self.to_dict())
 
 
-def with_error(model: Any, entries: Sequence[Finding]) -> Any:
+def with_error(model: Model, entries: Sequence[Finding]) -> Model:
     """Return a model that errs by what the effects say that were added to it: with other numbers it is another rod."""
     for entry in entries:
         if entry.refitted is None:

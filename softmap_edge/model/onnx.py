@@ -18,7 +18,6 @@ import hashlib
 from collections.abc import Callable, Mapping, Sequence
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,7 +29,7 @@ from softmap_edge.files.child import ChildFault, in_child
 from softmap_edge.model.manifest import MAX_ONNX_BYTES
 
 Floats = NDArray[np.float64]
-Arrays = dict[str, NDArray[Any]]
+Arrays = dict[str, NDArray[np.generic]]
 
 BATCH = 64  # commands that onnxruntime is given at a time, so that a wide graph needs little memory
 CHILD_MB, CHILD_S = 1000, 60.0  # limits of onnxruntime in a child process

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -103,7 +103,7 @@ class ReferenceFrames:
         return sum(spans)
 
     @property
-    def labels(self) -> NDArray[Any] | None:
+    def labels(self) -> NDArray[np.generic] | None:
         """The `block` labels (n,) of the frames; None where a run has none, or all frames have the same."""
         blocks = [run.block[index] for run, index in zip(self.runs, self.frames) if run.block is not None]
         if len(blocks) < len(self.runs):

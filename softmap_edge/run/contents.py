@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from softmap_edge.files.atomic import Document
@@ -102,7 +100,7 @@ def command_ranges(run: Run) -> list[list[float]]:
     return [] if rows is None else [[rounded(c.min()), rounded(c.max())] for c in rows.T]
 
 
-def rounded(value: Any) -> float:
+def rounded(value: float) -> float:
     """Return a number with six digits, as documents hold it."""
     return float(f"{float(value):.6g}")
 

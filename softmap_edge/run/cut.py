@@ -9,7 +9,6 @@ Pinned by tests/run/test_run_parts.py.
 from __future__ import annotations
 
 import dataclasses
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -111,7 +110,7 @@ def _rows(run: Run, rows: slice) -> Document:
     }
 
 
-def _along(run: Run, rows: slice, frames: slice) -> list[tuple[str, NDArray[Any], slice]]:
+def _along(run: Run, rows: slice, frames: slice) -> list[tuple[str, NDArray[np.generic], slice]]:
     """Return the unknown fields that have an entry for each row or each frame, and their part."""
     unknown = [(name, array) for name, array in run.extra.items() if name not in OURS and array.ndim]
     by_row = [(name, array, rows) for name, array in unknown if len(array) == len(run.t)]

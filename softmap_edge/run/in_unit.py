@@ -20,13 +20,13 @@ _RMS = re.compile(r"((?:\d+\.?\d* (?:to|and|of) )?)(\d+\.?\d*) mm RMS")
 _NUMBER = re.compile(r"\d+\.?\d*")
 
 
-def output_of(made_from: Mapping[str, Any]) -> Output | None:
+def output_of(made_from: Document) -> Output | None:
     """Return the output that a document is about, from its `made_from`; None for places."""
     document = made_from.get("output")
     return None if document is None else Output.from_dict(document)
 
 
-def unit_of(made_from: Mapping[str, object]) -> str:
+def unit_of(made_from: Document) -> str:
     """Return the unit of the figures of a document after `in_unit` or `comparison_in_unit`."""
     output = output_of(made_from)
     return PLACES if output is None else output.unit
@@ -46,7 +46,7 @@ def words_in_unit(text: str, output: Output | None) -> str:
     return _RMS.sub(turned, text)
 
 
-def in_unit(document: Mapping[str, Any]) -> Document:
+def in_unit(document: Document) -> Document:
     """Return a diagnosis document with its figures in the unit of its output; unchanged for places."""
     output = output_of(document.get("made_from") or {})
     if output is None:
@@ -60,7 +60,7 @@ def in_unit(document: Mapping[str, Any]) -> Document:
     return found | {"error": error | {"unit": output.unit}, "where": where}
 
 
-def renamed_maps(maps: Mapping[str, object]) -> Document:
+def renamed_maps(maps: Document) -> Document:
     """Return maps of the error with one entry for each output in place of the sections of a body."""
     return {"output" if name == "section" else name: rows for name, rows in maps.items()}
 

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -219,7 +218,7 @@ def _frames(runs: Sequence[Run]) -> Document:
     return {"frame": first if same else None, "frame_sigma": np.max(sigma, axis=0) if sigma else None}
 
 
-def _extra(placed: Sequence[_Placed]) -> dict[str, NDArray[Any]]:
+def _extra(placed: Sequence[_Placed]) -> dict[str, NDArray[np.generic]]:
     """Return the fields of `extra`: joined where they go by row or by frame, else as they are in all runs."""
     found = {}
     for name in sorted({name for one in placed for name in one.run.extra} - set(PIECES)):
@@ -239,7 +238,7 @@ def _extra(placed: Sequence[_Placed]) -> dict[str, NDArray[Any]]:
     return found
 
 
-def _stacked(name: str, arrays: Sequence[NDArray[Any]]) -> NDArray[Any]:
+def _stacked(name: str, arrays: Sequence[NDArray[np.generic]]) -> NDArray[np.generic]:
     """Return arrays one after the other; raise RunError if their other axes differ."""
     if len({(array.shape[1:], array.dtype.kind) for array in arrays}) > 1:
         raise RunError(

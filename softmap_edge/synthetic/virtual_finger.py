@@ -18,7 +18,6 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,7 +37,7 @@ from softmap_edge.synthetic.depth_camera import TWO, DepthCameras
 from softmap_edge.synthetic.finger import HiddenEffect, Truth, Vector, different, hide, toured
 
 Floats = NDArray[np.float64]
-Arrays = dict[str, NDArray[Any]]
+Arrays = dict[str, NDArray[np.generic]]
 
 SCHEMA = "softmap.virtual/1"
 MODULUS = (0.8, 1.2)  # of the model's

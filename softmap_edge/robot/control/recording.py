@@ -126,7 +126,7 @@ class Recording:
             extra=self._about(),
         )
 
-    def _about(self) -> dict[str, NDArray[Any]]:
+    def _about(self) -> dict[str, NDArray[np.generic]]:
         """Return the field of a run with the map that was driven with."""
         known = self.setup.get("calibration")
         return {} if known is None else {CALIBRATION: np.array(json.dumps(known))}
