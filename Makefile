@@ -25,11 +25,11 @@ test-rust:
 
 # One worker more than cores, each with one thread: tests of the control loop wait more than they compute.
 test-python: $(VENV)/.test
-	RAYON_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -m "not prove" -n $$(($$(nproc) + 1)) --dist loadfile --no-loadscope-reorder --durations 12
+	RAYON_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -m "not long and not prove" -n $$(($$(nproc) + 1)) --dist loadfile --no-loadscope-reorder --durations 12
 
-# Five hundred damaged files of each format of logs, clouds and meshes.
+# Complete stories from hidden effect to diagnosis, training, and five hundred damaged files of each format.
 test-long: $(VENV)/.test
-	RAYON_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -m long -n $$(nproc)
+	RAYON_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -m "long and not prove" -n $$(nproc) --dist loadfile --no-loadscope-reorder --durations 12
 
 # rustfmt by file: `cargo fmt` does not see the modules that a macro declares (rust/effects/mod.rs).
 lint: $(VENV)/.lint

@@ -14,11 +14,11 @@ from typing import TextIO, cast
 
 from softmap_edge.commands import COMMANDS, ELSEWHERE, RENAMED, Command
 from softmap_edge.commands.incomplete import printing_warnings
+from softmap_edge.commands.output import with_files
 from softmap_edge.commands.parser import Parser
 from softmap_edge.commands.pipe import outliving
 from softmap_edge.errors import SoftmapError, nearest, no_name
 from softmap_edge.files.printable import PrintableStream, one_line
-from softmap_edge.robot.remedies import with_files
 from softmap_edge.version import __version__
 
 DONE, FAULT, WRONG_USE = 0, 1, 2
@@ -128,9 +128,11 @@ def _run(command: Command, argv: list[str]) -> int:
     # A command such as -8,3 is no option; argparse leaves alone what holds a space.
     argv = [f" {word}" if NEGATIVE.match(word) else word for word in argv]
     try:
-        args = parser.parse_args(argv)
+        namespace = parser.parse_args(argv)
     except SystemExit as stop:  # argparse has printed why
         return int(stop.code or 0)
+    options = vars(module).get(f"{command.function.title().replace('_', '')}Options")  # none of a group's actions
+    args = namespace if options is None else options(**vars(namespace))
     try:
         with printing_warnings(command.name) as incomplete:
             code = int(getattr(module, function)(args))

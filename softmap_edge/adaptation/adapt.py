@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from softmap_edge.adaptation.residual import ROWS, learn_residual
 from softmap_edge.alignment.base_in_clouds import base_stood_off, in_base
@@ -25,6 +25,7 @@ from softmap_edge.comparison.comparison import compare
 from softmap_edge.diagnosis.diagnose import diagnose
 from softmap_edge.diagnosis.document import Diagnosis
 from softmap_edge.errors import CalibrationError, SoftmapError
+from softmap_edge.files.atomic import Document
 
 if TYPE_CHECKING:
     from softmap_edge.model.model import Model
@@ -50,7 +51,7 @@ class Adaptation:
     before: Model
     calibration: Calibrated | None
     diagnosis: Diagnosis | None
-    residual: dict[str, Any]
+    residual: Document
     error: dict[str, float | None]
     error_on: str
     judge: Run
@@ -75,7 +76,7 @@ class Adaptation:
         assert first is not None
         return 1.0 - self.last / first if first > 0 else 0.0
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> Document:
         """Return the document softmap.adaptation/1: plain numbers, strings, lists and dicts."""
         kept = self.model.residual is not None
         return {
@@ -108,7 +109,7 @@ class Adaptation:
         return "\n".join([*lines, *(f"  look at: {text}" for text in self.residual.get("warnings", []))])
 
 
-def _of_residual(told: dict[str, Any], kept: bool) -> str:
+def _of_residual(told: Document, kept: bool) -> str:
     if "why" in told:
         return f"no residual: {told['why']}"
     every = "" if told["frames"] == told["of_frames"] else f" of {told['of_frames']} (complete ones, {ROWS} at most)"
@@ -167,7 +168,7 @@ def adapt(
     return Adaptation(model, base, calibration, found, residual, error, on, judge, shown)
 
 
-def _rest(model: Model, runs: Sequence[Run], spare: bool) -> tuple[Model | None, dict[str, Any]]:
+def _rest(model: Model, runs: Sequence[Run], spare: bool) -> tuple[Model | None, Document]:
     """Return the model with a residual and what is told of it; None and why where runs teach none, if it is spare."""
     try:
         return learn_residual(model, runs)
@@ -218,7 +219,7 @@ def _blocks(found: Diagnosis | None) -> str:
     return "blocks of the runs that were left out, middles of sections or markers; a residual is a polynomial there"
 
 
-def _on_blocks(found: Diagnosis | None, residual: dict[str, Any]) -> dict[str, float | None]:
+def _on_blocks(found: Diagnosis | None, residual: Document) -> dict[str, float | None]:
     """Return the errors of the ways on blocks that were left out, as diagnosis or residual measured them."""
     if found is None:
         both: list[float | None] = [residual["before_rms_mm"], residual["after_held_out_rms_mm"], None, None]

@@ -18,12 +18,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.errors import SoftmapError
+from softmap_edge.files.atomic import Document
 from softmap_edge.model.shapes import family_from
 from softmap_edge.model.training_range import span
 from softmap_edge.model.views import laid
@@ -50,7 +51,7 @@ CLOSE = 0.002  # of half the range of the commands: nearer commands are one plac
 STILL = 1e-3  # of the largest motion: points of the prior that move less are held
 
 
-def learn_residual(model: Model, run: Run | Sequence[Run]) -> tuple[Model, dict[str, Any]]:
+def learn_residual(model: Model, run: Run | Sequence[Run]) -> tuple[Model, Document]:
     """Learn a residual from what a model misses on a run.
 
     Args:

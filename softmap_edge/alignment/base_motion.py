@@ -14,12 +14,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.alignment.result import base_markers
+from softmap_edge.files.atomic import Document
 from softmap_edge.geometry.rigid import kabsch
 from softmap_edge.model.parameter_layout import Layout
 from softmap_edge.run.run import Run
@@ -133,7 +134,7 @@ def _measured(points: Floats, place: Floats, count: int) -> BaseMotion | None:
 # --- what they allow in a diagnosis ---------------------------------------------------------------
 
 
-def kept_places(runs: Sequence[Run]) -> dict[str, Any]:
+def kept_places(runs: Sequence[Run]) -> Document:
     """Return where the base markers of the first run were, for the `made_from` of a model; {} without any."""
     points = _whole(base_markers(runs[0]))
     if points.shape[1] < LEAST_MARKERS or len(points) < LEAST_FRAMES:

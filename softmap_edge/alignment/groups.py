@@ -9,11 +9,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from softmap_edge.files.atomic import Document
 from softmap_edge.geometry.rigid import RigidPose, gain, jacobian, kabsch, refined, rotation
 from softmap_edge.run.run import Run
 
@@ -57,7 +57,7 @@ class Moved:
     to_s: float
     gradual: bool
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> Document:
         """Return it as plain numbers and texts."""
         return {name: getattr(self, name) for name in self.__dataclass_fields__}
 

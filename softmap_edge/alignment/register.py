@@ -12,7 +12,7 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from softmap_edge import _core
 from softmap_edge.alignment.clouds import clouds_of
 from softmap_edge.errors import RegistrationError
+from softmap_edge.files.atomic import Document
 from softmap_edge.model.model import Model
 from softmap_edge.model.orientation import prior_under_gravity, priors_by_orientation
 from softmap_edge.run.run import ROLL_SEEN, Run
@@ -54,7 +55,7 @@ class Registered:
 
     vertices: Floats
     support: Floats
-    frames: list[dict[str, Any]]
+    frames: list[Document]
     mode: Mode
     seconds: float
 
@@ -63,7 +64,7 @@ class Registered:
         """Which vertices (K, N) a cloud has seen."""
         return self.support >= SEEN
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> Document:
         """Return the document softmap.registration/1, without the vertices."""
         return {
             "schema": SCHEMA,
@@ -174,10 +175,10 @@ def _check(k: int, cloud: Floats, rest: Floats) -> None:
             )
 
 
-def _robust(core: _core.Registration, model: Model, run: Run | None, clouds: list[Floats]) -> list[dict[str, Any]]:
+def _robust(core: _core.Registration, model: Model, run: Run | None, clouds: list[Floats]) -> list[Document]:
     """Register clouds, each from the shapes that the model has in its orientation."""
     low, high = model.command_range.T.tolist()
-    found: list[dict[str, Any]] = [{}] * len(clouds)
+    found: list[Document] = [{}] * len(clouds)
     for rows, shape in (
         [(np.arange(len(clouds)), prior_under_gravity(model))] if run is None else priors_by_orientation(model, run)
     ):
@@ -187,7 +188,7 @@ def _robust(core: _core.Registration, model: Model, run: Run | None, clouds: lis
     return found
 
 
-def _published(core: _core.Registration, model: Model, clouds: list[Floats]) -> list[dict[str, Any]]:
+def _published(core: _core.Registration, model: Model, clouds: list[Floats]) -> list[Document]:
     """Register clouds by the published objective; handles alone ask for points, and points speak for handles alone."""
     handles = np.arange(len(model.rest)) if model.handles is None else model.handles
     strength, found = np.zeros(len(model.rest)), []
@@ -206,9 +207,9 @@ def _published(core: _core.Registration, model: Model, clouds: list[Floats]) -> 
     return found
 
 
-def _row(k: int, one: dict[str, Any], mode: Mode) -> dict[str, Any]:
+def _row(k: int, one: Document, mode: Mode) -> Document:
     """Return what is told of one frame: numbers, and what looks wrong."""
-    row: dict[str, Any] = {
+    row: Document = {
         "frame": k,
         "residual_mm": float(one["residual_mm"]),
         "noise_mm": float(one["noise_mm"]),
@@ -228,7 +229,7 @@ def _row(k: int, one: dict[str, Any], mode: Mode) -> dict[str, Any]:
     return row
 
 
-def _warnings(row: dict[str, Any], one: dict[str, Any]) -> list[str]:
+def _warnings(row: Document, one: Document) -> list[str]:
     said = []
     if "scale" in row and abs(row["scale"] - 1.0) > SCALE:
         percent = 100.0 * (row["scale"] - 1.0)

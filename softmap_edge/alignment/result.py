@@ -7,13 +7,13 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.alignment.groups import Moved
 from softmap_edge.errors import AlignError
+from softmap_edge.files.atomic import Document
 from softmap_edge.geometry.rigid import RigidPose, rotation_vector
 from softmap_edge.run.run import BASE_MARKERS, Run
 
@@ -49,7 +49,7 @@ class Alignment:
         """Return the run in the base frame, with the transform and its sigma as `frame` and `frame_sigma`."""
         return in_frame(run, self.pose, self.sigma, self.frames)
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> Document:
         """Return the document softmap.align/1."""
         turn = np.degrees(rotation_vector(self.pose.rotation))
         return {
@@ -94,7 +94,7 @@ def in_frame(run: Run, pose: RigidPose, sigma: Floats, frames: RigidPose | None 
     Args:
         sigma: (6,) of the pose, deg and mm. frames: a pose for each frame, which takes what is seen in it instead.
     """
-    change: dict[str, Any] = {}
+    change: Document = {}
     for name in ("vertices", "markers", "points"):
         seen = getattr(run, name)
         if seen is not None:

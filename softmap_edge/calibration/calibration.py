@@ -16,7 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +30,7 @@ from softmap_edge.calibration.held_out import HeldOut, SeenMarkers, directions, 
 from softmap_edge.calibration.map_fit import Sights, fit_map, turned_shapes
 from softmap_edge.calibration.matching import Matches, linearised, match
 from softmap_edge.errors import CalibrationError
+from softmap_edge.files.atomic import Document
 from softmap_edge.geometry.rigid import RigidPose
 from softmap_edge.model.orientation import gravity_seen, other_orientation
 from softmap_edge.model.servo_calibration import LARGEST, Calibration, held_in_ticks
@@ -93,7 +94,7 @@ def calibrate(
 def _named(found: Calibrated, run: Run) -> Calibrated:
     """Return a calibration that names the run by its hash as it was recorded."""
     calibration = replace(found.calibration, run=run.hash())
-    made: dict[str, Any] = {**found.model.made_from, "calibration": run.hash()}
+    made: Document = {**found.model.made_from, "calibration": run.hash()}
     whole = replace(found.model, calibration=calibration, made_from=made)
     return replace(found, model=whole, calibration=calibration)
 

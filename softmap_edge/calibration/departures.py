@@ -17,13 +17,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.calibration.affine import AffineFit, fit
 from softmap_edge.calibration.held_out import HeldOut
+from softmap_edge.files.atomic import Document
 from softmap_edge.model.servo_calibration import TURN
 
 Floats = NDArray[np.float64]
@@ -55,7 +55,7 @@ class Departure:
     sentence: str
     columns: Floats | None = field(default=None, repr=False, compare=False)
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> Document:
         """Return a plain dictionary."""
         return {
             "kind": self.kind, "better": self.better, "affine_error": self.affine, "error": self.error,

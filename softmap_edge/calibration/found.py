@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.calibration.departures import BESIDE, Departure
 from softmap_edge.calibration.held_out import HeldOut
+from softmap_edge.files.atomic import Document
 from softmap_edge.model.servo_calibration import Calibration
 
 if TYPE_CHECKING:
@@ -44,7 +45,7 @@ class Calibrated:
         """What the map leaves of the matched commands (n, C); NaN where a command was not told."""
         return np.where(self.held.observed, self.held.u - self.calibration.commands(self.held.ticks), np.nan)
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> Document:
         """Return the document softmap.calibration/1 with the matched pairs and what speaks against it."""
         found, pairs = self.calibration, zip(self.held.u.tolist(), self.held.observed.tolist())
         return found.to_dict() | {

@@ -10,12 +10,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.checks.collinear import collinear_conditions, tied_channels
+from softmap_edge.files.atomic import Document
 from softmap_edge.model.coverage import apart, pairs_text
 from softmap_edge.noise.floor import commanded, noise_of_points
 from softmap_edge.noise.repeats import LONG_DWELL
@@ -51,7 +51,7 @@ class Advice:
     remedy: str | None = None
     minutes: float | None = None
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> Document:
         """Return it as plain numbers and texts."""
         return asdict(self)
 

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from softmap_edge.checks.advice import Advice
+from softmap_edge.files.atomic import Document
 from softmap_edge.files.numbers import folded
 
 
@@ -23,7 +22,7 @@ def advice_lines(words: list[Advice]) -> list[str]:
     return [*lines, "", f"What is missing (the lines marked >) takes about {minutes:g} minutes of recording in all."]
 
 
-def effect_lines(effects: list[dict[str, Any]]) -> list[str]:
+def effect_lines(effects: list[Document]) -> list[str]:
     """Return for a terminal what `diagnosis.showing` found of each effect."""
     lines = ["", "Effects at typical strength: how far each would move the body, and how often that is the noise"]
     wide = max((len(row["name"]) for row in effects), default=0)

@@ -179,7 +179,7 @@ def _at_frames(run: Run, rows: Floats) -> Floats:
 
 def _conditions(run: Run) -> Iterator[tuple[str, Floats]]:
     """Yield each declared condition that changes: its name and its values (K, n) at the seen frames."""
-    given: dict[str, NDArray[np.float64] | None] = {
+    given: dict[str, NDArray[np.generic] | None] = {
         "temperature": run.temperature,
         "orientation": run.gravity,
         "load": run.load,

@@ -16,12 +16,12 @@ tests/checks/test_frame_clock.py.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge import _core
+from softmap_edge.files.atomic import Document
 from softmap_edge.run.run import Run, known
 
 Floats = NDArray[np.float64]
@@ -85,6 +85,11 @@ class FrameClock:
             )
         if self.fast_ppm is None or self.sigma_ppm is None:
             return "the moves of this run do not show how fast the clock of the frames runs"
+        if not self.runs_fast:
+            return (
+                f"the clocks of the frames and of the commands agree within {abs(self.fast_ppm):.0f} ± "
+                f"{self.sigma_ppm:.0f} ppm; nothing is to be corrected"
+            )
         late = 1e-6 * self.fast_ppm * self.duration_s
         way = "fast" if self.fast_ppm > 0 else "slow"
         return (
@@ -92,7 +97,7 @@ class FrameClock:
             f"commands ({abs(late):.3f} s over the run): set seen.fast_ppm = {self.fast_ppm:.0f} in the mapping"
         )
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> Document:
         """Return it as plain numbers."""
         return {
             "fast_ppm": self.fast_ppm,

@@ -14,13 +14,14 @@ tests/diagnosis/test_wrongly_declared.py.
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.checks.remembered import centred, memory_share
 from softmap_edge.errors import RunError
+from softmap_edge.files.atomic import Document
 from softmap_edge.geometry.rigid import kabsch, rotation_vector
 from softmap_edge.logs.plausible import doubts_of_time
 from softmap_edge.model.effect_info import registry
@@ -299,7 +300,7 @@ def _clock(model: Model, run: Run, seen: Floats, visible: Mask, t: Floats) -> tu
     A periodic command fits again a period later. Of shifts that explain nearly as much, return the smallest.
     """
     grid = np.linspace(run.t[0], run.t[-1], TIMES)
-    blank: dict[str, Any] = {
+    blank: Document = {
         "vertices": None,
         "markers": None,
         "visible": None,

@@ -19,6 +19,7 @@ from softmap_edge.checks.collinear import collinear_conditions
 from softmap_edge.checks.frame_clock import frame_clock
 from softmap_edge.checks.lost_points import REMEDY, without_lost
 from softmap_edge.checks.unanswered import unanswered
+from softmap_edge.files.atomic import Document
 from softmap_edge.files.numbers import folded
 from softmap_edge.model.servo_calibration import converted
 from softmap_edge.model.views import laid
@@ -35,7 +36,7 @@ FAR = 2.0  # of the extent of what is seen: farther from the origin is no base f
 SAME_PLACE = 0.02  # of a channel's range
 
 
-def summary(recorded: Run, model: Model | None = None) -> dict[str, Any]:
+def summary(recorded: Run, model: Model | None = None) -> Document:
     """Return the contents of a run, with units in the keys; `missing` and `warnings` are sentences.
 
     `collinear` are the conditions that cannot be separated from time or the commands (`collinear.Collinear`, `text`).
@@ -50,7 +51,7 @@ def summary(recorded: Run, model: Model | None = None) -> dict[str, Any]:
     run, depthless = (run, "") if run.points is None else with_depth(run)
     kind = next((name for name in ("vertices", "markers", "points") if getattr(run, name) is not None), None)
     seen = None if kind is None else getattr(run, kind)
-    document: dict[str, Any] = {
+    document: Document = {
         "robot": run.robot,
         "channels": run.channels,
         "rows": len(run.t),
@@ -95,7 +96,7 @@ def summary(recorded: Run, model: Model | None = None) -> dict[str, Any]:
     return document
 
 
-def sentences(document: dict[str, Any]) -> list[str]:
+def sentences(document: Document) -> list[str]:
     """Return a summary in plain words, one line each."""
     d = document
     unit = d["command_unit"]
@@ -178,7 +179,7 @@ def _shown(run: Run, seen: np.ndarray[Any, np.dtype[np.float64]] | None) -> Any:
     return None if seen is None else np.where(known(run, seen)[..., None], seen, np.nan)
 
 
-def _outputs(run: Run) -> dict[str, Any] | None:
+def _outputs(run: Run) -> Document | None:
     """The outputs of a run and their ranges, in their unit."""
     if run.output is None:
         return None
@@ -224,7 +225,7 @@ def _visits(run: Run) -> dict[str, int]:
     return {"home_visits": int(home), "places_revisited": int((counts > 1).sum())}
 
 
-def _missing(run: Run, document: dict[str, Any]) -> list[str]:
+def _missing(run: Run, document: Document) -> list[str]:
     gaps = []
     if run.frames and document["seen"] is None:
         gaps.append("points: there are times of frames but no vertices, markers or points")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+from dataclasses import dataclass
 
 from softmap_edge.adaptation.adapt import adapt as learn
 from softmap_edge.commands.output import bundle_arguments, check_bundle, check_file
@@ -13,6 +14,22 @@ from softmap_edge.model.bundle import save_bundle
 from softmap_edge.robot.drive.recorded import open_run
 
 WORSE = 1  # exit code
+
+
+@dataclass(frozen=True)
+class AdaptOptions:
+    """Options of `softmap model adapt`, as its parser declares them."""
+
+    runs: list[str]
+    bundle: str | None
+    held_out: str | None
+    residual_only: bool
+    effects: list[str]
+    trust_onnx: bool
+    out: str
+    force: bool
+    html: str | None
+    json: bool
 
 
 def adapt_arguments(parser: argparse.ArgumentParser) -> None:
@@ -33,7 +50,7 @@ def adapt_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--html", metavar="FILE", help="write one self-contained page with pictures")
 
 
-def adapt(args: argparse.Namespace) -> int:
+def adapt(args: AdaptOptions) -> int:
     """Calibrate, diagnose, add, learn a residual and judge; 1 if the held-out error does not fall."""
     check_bundle(args.out, args.force)
     check_file("--html", args.html, ".html")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import json
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -23,6 +24,23 @@ _HOW = (
     "give --base clamped, --base 0 1 2 (numbers whose places are in `marker_rest`), --base 0:X,Y,Z 1:X,Y,Z … or, of "
     "the run's `base_markers`, --base b0:X,Y,Z b1:X,Y,Z … (b0 alone: where it is seen on average)"
 )
+
+
+@dataclass(frozen=True)
+class AlignOptions:
+    """Options of `softmap run align`, as its parser declares them."""
+
+    run: str
+    bundle: str | None
+    effects: list[str]
+    trust_onnx: bool
+    out: str
+    base: list[str] | None
+    follow_base: bool
+    drop_base: bool
+    force: bool
+    like: str | None
+    json: bool
 
 
 def align_arguments(parser: argparse.ArgumentParser) -> None:
@@ -45,16 +63,16 @@ def align_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--like", metavar="RUN", help="take the transform of a run that was aligned already")
 
 
-def align(args: argparse.Namespace) -> int:
+def align(args: AlignOptions) -> int:
     """Find the transform from the frame of the measurement to the base, and write the run in the base frame."""
     check_file("--out", args.out, ".npz")
     check_no_run("--out", args.out, args.force)
     run = open_run(args.run)
     if args.like:
-        return _like(args, run)
+        return _like(args, args.like, run)
     if (args.follow_base or args.drop_base) and not args.base:
         raise AlignError(f"--follow-base and --drop-base need base points; {_HOW}")
-    places = _places(args, run) if args.base and run.points is None else {}
+    places = _places(args, args.base, run) if args.base and run.points is None else {}
     if run.points is not None:
         found = _of_clouds(args, run)
     else:
@@ -70,12 +88,12 @@ def align(args: argparse.Namespace) -> int:
     return 0
 
 
-def _bundle(args: argparse.Namespace) -> Any:
+def _bundle(args: AlignOptions) -> Any:
     load_own(args)
     return open_model(args.bundle)
 
 
-def _of_clouds(args: argparse.Namespace, run: Run) -> Alignment:
+def _of_clouds(args: AlignOptions, run: Run) -> Alignment:
     """Find the frame of clouds by the body near the clamp."""
     if args.base != ["clamped"] or args.follow_base or args.drop_base:
         raise AlignError(
@@ -84,13 +102,13 @@ def _of_clouds(args: argparse.Namespace, run: Run) -> Alignment:
     return align_clouds(run, _bundle(args))
 
 
-def _like(args: argparse.Namespace, run: Run) -> int:
+def _like(args: AlignOptions, like: str, run: Run) -> int:
     """Apply the transform of another run: cameras and base stood as they were."""
     if args.base or args.follow_base or args.drop_base:
         raise AlignError("--like takes a transform that is known; it goes with no --base")
-    other = open_run(args.like)
+    other = open_run(like)
     if other.frame is None or other.frame_sigma is None:
-        raise AlignError(f"{args.like}: was not aligned; `softmap run align` it first and give its output")
+        raise AlignError(f"{like}: was not aligned; `softmap run align` it first and give its output")
     if run.frame is not None:
         raise AlignError(f"{args.run}: is aligned already; give the run as it was recorded")
     aligned = in_frame(run, RigidPose(other.frame[:, :3], other.frame[:, 3]), other.frame_sigma)
@@ -103,12 +121,12 @@ def _like(args: argparse.Namespace, run: Run) -> int:
     return 0
 
 
-def _places(args: argparse.Namespace, run: Run) -> dict[int, Any]:
+def _places(args: AlignOptions, base: list[str], run: Run) -> dict[int, Any]:
     """Return the base-frame place of each point that --base names."""
-    if args.base == ["clamped"]:
+    if base == ["clamped"]:
         return clamped_places(run, _bundle(args))
     places: dict[int, Any] = {}
-    for word in " ".join(args.base).replace(", ", ",").split():
+    for word in " ".join(base).replace(", ", ",").split():
         for part in [word] if ":" in word else word.split(","):
             number, _, place = part.partition(":")
             names = run.marker_names

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+from dataclasses import dataclass
 
 from softmap_edge.calibration.calibration import calibrate as find
 from softmap_edge.calibration.found import Calibrated
@@ -15,6 +16,23 @@ from softmap_edge.model.bundle import save_bundle
 from softmap_edge.robot.drive.recorded import open_run
 
 NOT_AFFINE = 1  # exit code
+
+
+@dataclass(frozen=True)
+class CalibrateOptions:
+    """Options of `softmap model calibrate`, as its parser declares them."""
+
+    run: str
+    bundle: str | None
+    effects: list[str]
+    trust_onnx: bool
+    out: str
+    force: bool
+    home: list[float] | None
+    window: list[float] | None
+    grid: bool
+    plot: str | None
+    json: bool
 
 
 def calibrate_arguments(parser: argparse.ArgumentParser) -> None:
@@ -36,7 +54,7 @@ def calibrate_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--plot", metavar="FILE.svg", help="draw matched pairs and what is left of them")
 
 
-def calibrate(args: argparse.Namespace) -> int:
+def calibrate(args: CalibrateOptions) -> int:
     """Fit u = A (ticks − home) + b and write the bundle with it; 1 if the relation is clearly not affine."""
     check_picture("--plot", args.plot)
     check_bundle(args.out, args.force)

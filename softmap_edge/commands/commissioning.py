@@ -10,6 +10,7 @@ import contextlib
 import sys
 from collections.abc import Iterator
 
+from softmap_edge.commands.output import JsonOption
 from softmap_edge.errors import ServoError
 from softmap_edge.robot.commissioning.jog import Deadman, Held
 from softmap_edge.robot.commissioning.keys import Keys
@@ -35,7 +36,7 @@ def deadman(held: bool) -> Iterator[Deadman]:
             yield keys
 
 
-def announce(args: argparse.Namespace, what: str, hand: Deadman) -> None:
+def announce(args: JsonOption, what: str, hand: Deadman) -> None:
     """Say what will move, and how it is stopped."""
     if not args.json:
         print(f"{what}; {hand.how}", file=sys.stderr)

@@ -110,6 +110,16 @@ def trial(
     return Trial(truth, model, run, other, fitted, diagnosis, before, after, floor)
 
 
+@dataclass(frozen=True)
+class DemoOptions:
+    """Options of `softmap demo`, as its parser declares them."""
+
+    hide: list[str]
+    seed: int
+    out: str
+    json: bool
+
+
 def demo_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `demo`."""
     parser.add_argument(
@@ -123,7 +133,7 @@ def demo_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--out", default="demo", help="folder for the runs, the bundle and the report (demo)")
 
 
-def demo(args: argparse.Namespace) -> int:
+def demo(args: DemoOptions) -> int:
     """Tell the whole story on a simulated finger with hidden effects."""
     started = time.monotonic()
     ticker = Ticker((lambda text: None) if args.json else (lambda text: print(text, flush=True)))
@@ -134,7 +144,7 @@ def demo(args: argparse.Namespace) -> int:
         WATCH.reset(before)
 
 
-def _told(args: argparse.Namespace, say: Callable[[str], None], started: float) -> int:
+def _told(args: DemoOptions, say: Callable[[str], None], started: float) -> int:
     names = _hidden_names(args.hide, args.seed)
     Path(args.out).mkdir(parents=True, exist_ok=True)  # before the work, not after it
     say("Taking the model of the built-in finger, made from a simulated sweep.")

@@ -4,8 +4,19 @@ from __future__ import annotations
 
 import argparse
 import json
+from dataclasses import dataclass
 
 WELL, UNWELL = 0, 1
+
+
+@dataclass(frozen=True)
+class DoctorOptions:
+    """Options of `softmap servo doctor`, as its parser declares them."""
+
+    rig: str | None
+    bundle: str | None
+    camera: str | None
+    json: bool
 
 
 def doctor_arguments(parser: argparse.ArgumentParser) -> None:
@@ -15,7 +26,7 @@ def doctor_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--camera", metavar="N|/dev/…", help="take a picture of this camera")
 
 
-def doctor(args: argparse.Namespace) -> int:
+def doctor(args: DoctorOptions) -> int:
     """Look at everything; 1 if something is at fault."""
     from softmap_edge.robot.doctor import examine
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,27 @@ BOTH = (
     "  play it twice ({:.1f} minutes in all): as the run was, and as the reference run was; then\n"
     "  `softmap diagnose RUN NEW --reference REFERENCE --reference NEW_REFERENCE`"
 )
+
+
+@dataclass(frozen=True)
+class NextOptions:
+    """Options of `softmap next`, as its parser declares them."""
+
+    diagnosis: str | None
+    bundle: str | None
+    effects: list[str]
+    trust_onnx: bool
+    run: list[str]
+    reference: list[str]
+    out: str | None
+    standard: bool
+    protocol: str | None
+    block: list[str]
+    minutes: float
+    fastest: float | None
+    since: str | None
+    seed: int
+    json: bool
 
 
 def next_arguments(parser: argparse.ArgumentParser) -> None:
@@ -55,7 +77,7 @@ def next_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def next(args: argparse.Namespace) -> int:
+def next(args: NextOptions) -> int:
     """Say which block of commands settles what is open, and write it."""
     from softmap_edge.experiment.choose import SCHEMA
     from softmap_edge.robot.drive.command_file import steps, write_commands
@@ -67,7 +89,9 @@ def next(args: argparse.Namespace) -> int:
         raise SoftmapError(f"--seed {args.seed} is negative; give 0 or more")
     load_own(args)
     model = open_model(args.bundle)
-    made, found, lines, times = (*_standard(args, model), 1) if args.diagnosis is None else _answered(args, model)
+    made, found, lines, times = (
+        (*_standard(args, model), 1) if args.diagnosis is None else _answered(args, args.diagnosis, model)
+    )
     names = [] if made is None else made.name.split(" + ")
     settles = list(dict.fromkeys(name for e in found if e.block in names for name in e.settles))
     if made is not None and args.out:
@@ -102,7 +126,7 @@ def next(args: argparse.Namespace) -> int:
     return 0
 
 
-def _standard(args: argparse.Namespace, model: Any) -> tuple[Any, list[Any], list[str]]:
+def _standard(args: NextOptions, model: Any) -> tuple[Any, list[Any], list[str]]:
     """Return commands that are asked for without a diagnosis: the standard protocol, or blocks by name."""
     from softmap_edge.experiment.blocks import Setting, chosen, plan
     from softmap_edge.run.protocol import standard_protocol
@@ -126,7 +150,7 @@ def _standard(args: argparse.Namespace, model: Any) -> tuple[Any, list[Any], lis
     return standard_protocol(seed=args.seed, limits=_limits(args, model), back=True, orientations=both), [], []
 
 
-def _answered(args: argparse.Namespace, model: Any) -> tuple[Any, list[Any], list[str], int]:
+def _answered(args: NextOptions, file: str, model: Any) -> tuple[Any, list[Any], list[str], int]:
     """Return the commands for what a diagnosis left open, the blocks weighed, what is open, and how often to play."""
     from softmap_edge.diagnosis.document import Diagnosis
     from softmap_edge.diagnosis.separate import REFIT
@@ -137,7 +161,7 @@ def _answered(args: argparse.Namespace, model: Any) -> tuple[Any, list[Any], lis
     if args.standard or args.protocol:
         name = "--standard" if args.standard else "--protocol"
         raise SoftmapError(f"{name} takes no diagnosis; leave one of the two out")
-    diagnosis, before = Diagnosis.load(args.diagnosis), args.since and Diagnosis.load(args.since).to_dict()
+    diagnosis, before = Diagnosis.load(file), args.since and Diagnosis.load(args.since).to_dict()
     asked = {e.name for e in diagnosis.effects} | {name for a in diagnosis.alternatives for name in a.effects}
     check_hashes([*asked], diagnosis.made_from.get("python_effects"))
     runs, limits = [open_run(path, model) for path in args.run], _limits(args, model)
@@ -153,7 +177,7 @@ def _answered(args: argparse.Namespace, model: Any) -> tuple[Any, list[Any], lis
     return made, found, lines, times
 
 
-def _played(args: argparse.Namespace, model: Any) -> str:
+def _played(args: NextOptions, model: Any) -> str:
     """Say how the commands are played on the simulated finger, if it is this robot."""
     from softmap_edge.fem.finger import Finger
 
@@ -169,10 +193,40 @@ def _played(args: argparse.Namespace, model: Any) -> str:
     return f"; on the simulated finger: `{line}` (with the --hide or --virtual and the --seed of the runs before)"
 
 
-def _limits(args: argparse.Namespace, model: Any) -> Any:
+def _limits(args: NextOptions, model: Any) -> Any:
     from softmap_edge.run.protocol import Limits
 
     return Limits.of(model.command_range, model.command_unit, args.fastest)
+
+
+@dataclass(frozen=True)
+class RecordOptions:
+    """Options of `softmap record`, as its parser declares them."""
+
+    commands: str
+    sim: bool
+    emulated: bool
+    rig: str | None
+    recover: str | None
+    camera: str | None
+    key: str | None
+    like: str | None
+    late: float | None
+    yes: bool
+    record: str | None
+    calibrated: str | None
+    virtual: bool
+    truth: str | None
+    bundle: str | None
+    effects: list[str]
+    trust_onnx: bool
+    finger: str | None
+    hide: list[str]
+    truth_from: str | None
+    seed: int | None
+    noise_seed: int
+    out: str
+    json: bool
 
 
 def record_arguments(parser: argparse.ArgumentParser) -> None:
@@ -212,7 +266,7 @@ def record_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--out", required=True, metavar="RUN", help="the run to write, .npz")
 
 
-def record(args: argparse.Namespace) -> int:
+def record(args: RecordOptions) -> int:
     """Play a command file on a robot, or on the simulated finger, and write the run."""
     from softmap_edge.fem.finger import Finger
     from softmap_edge.robot.drive.command_file import read_commands
@@ -222,7 +276,7 @@ def record(args: argparse.Namespace) -> int:
     if args.recover:
         from softmap_edge.commands.record_robot import recover
 
-        return recover(args)
+        return recover(args, Path(args.recover))
     if not (args.sim or args.emulated or args.rig):
         raise SoftmapError("where is it played? give --sim (simulated), --emulated (real packets) or --rig FILE.toml")
     if not args.sim:
@@ -283,7 +337,7 @@ def _ahead(made: Any, hidden: bool) -> str:
     return f"a recording of {made.minutes:.1f} minutes; {first}solving its {made.frames} frames one by one"
 
 
-def _measured(args: argparse.Namespace, made: Any, finger: Any, names: list[str], seed: int) -> tuple[Any, Any]:
+def _measured(args: RecordOptions, made: Any, finger: Any, names: list[str], seed: int) -> tuple[Any, Any]:
     """Return the run of a protocol, and of the virtual finger what is true."""
     from softmap_edge.synthetic.finger import hide
     from softmap_edge.synthetic.virtual_finger import virtual_finger

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import json
 import sys
 import time
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from softmap_edge.commands.own import load_own, open_model
 from softmap_edge.commands.seeing import late, receiver
@@ -16,12 +16,15 @@ from softmap_edge.errors import RunError, SoftmapError
 from softmap_edge.files.printable import printable, raw
 from softmap_edge.robot.control.follow import Following
 
+if TYPE_CHECKING:
+    from softmap_edge.commands.understand import CompareOptions
+
 LOOK = 0.25  # s between two looks at the recording
 LINES = 2.0  # s between two lines where no terminal is watched
 BEGINS = 30.0  # s that a recording may take to begin
 
 
-def compare_live(args: argparse.Namespace) -> int:
+def compare_live(args: CompareOptions) -> int:
     """Follow a recording and a camera until the recording ends, `--seconds` are over, or Ctrl-C."""
     if args.camera is None:
         raise SoftmapError("--live needs eyes: give --camera udp://:PORT (docs/do/camera.md)")
@@ -30,7 +33,7 @@ def compare_live(args: argparse.Namespace) -> int:
     if args.html or len(args.bundle or []) > 1:
         raise SoftmapError("--live compares one bundle and writes no page; record a run and compare that")
     load_own(args)
-    model = open_model((args.bundle or [None])[0])
+    model = open_model(args.bundle[0] if args.bundle else None)
     live = Live(model, late(args))
     loop = _begun(args.run)
     with receiver(args, len(model.rest)) as camera:

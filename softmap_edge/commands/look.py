@@ -6,6 +6,7 @@ import argparse
 import json
 import sys
 import textwrap
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +24,18 @@ from softmap_edge.robot.drive.recorded import RECORDING, open_run
 from softmap_edge.run.run import Run
 
 
+@dataclass(frozen=True)
+class PredictOptions:
+    """Options of `softmap model predict`, as its parser declares them."""
+
+    input: str
+    bundle: str | None
+    effects: list[str]
+    trust_onnx: bool
+    out: str | None
+    json: bool
+
+
 def predict_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `predict`."""
     parser.add_argument(
@@ -33,7 +46,7 @@ def predict_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--out", help="write the predicted points (K, N, 3) mm to this .npz")
 
 
-def predict(args: argparse.Namespace) -> int:
+def predict(args: PredictOptions) -> int:
     """Predict shapes for a run or one command."""
     check_file("--out", args.out, ".npz")
     check_no_run("--out", args.out)
@@ -65,6 +78,17 @@ def predict(args: argparse.Namespace) -> int:
     return 0
 
 
+@dataclass(frozen=True)
+class EffectsOptions:
+    """Options of `softmap model effects`, as its parser declares them."""
+
+    name: str | None
+    new_name: str | None
+    effects: list[str]
+    trust_onnx: bool
+    json: bool
+
+
 def effects_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `effects`."""
     parser.add_argument("name", nargs="?", help="show this one in full; 'new' writes a file for an effect of your own")
@@ -72,7 +96,7 @@ def effects_arguments(parser: argparse.ArgumentParser) -> None:
     effects_argument(parser)
 
 
-def effects(args: argparse.Namespace) -> int:
+def effects(args: EffectsOptions) -> int:
     """List the effects that the library knows, show one, or write the template of a user's own."""
     if args.name == "new":
         return _new(args)
@@ -101,7 +125,7 @@ def effects(args: argparse.Namespace) -> int:
     return 0
 
 
-def _new(args: argparse.Namespace) -> int:
+def _new(args: EffectsOptions) -> int:
     if args.new_name is None:
         raise SoftmapError("give the new effect a name: `softmap model effects new wobble` writes wobble.py")
     text, file = template(args.new_name), Path(f"{args.new_name}.py")

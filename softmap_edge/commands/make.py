@@ -5,9 +5,10 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +26,17 @@ if TYPE_CHECKING:
 TRAINING = "pip install softmap-training"  # whose module is imported when it is asked for
 
 
+@dataclass(frozen=True)
+class BuildOptions:
+    """Options of `softmap build`, as its parser declares them."""
+
+    finger: str | None
+    out: str
+    force: bool
+    steps: int | None
+    json: bool
+
+
 def build_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `build`."""
     parser.add_argument(
@@ -37,7 +49,7 @@ def build_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--steps", type=int, help="commands a channel in the sweep (41, of three channels 13)")
 
 
-def build(args: argparse.Namespace) -> int:
+def build(args: BuildOptions) -> int:
     """Simulate a finger, or take a sweep that was made before, and write the bundle."""
     _check_steps(args.steps)
     check_bundle(args.out, args.force)
@@ -79,6 +91,20 @@ def build(args: argparse.Namespace) -> int:
     return 0
 
 
+@dataclass(frozen=True)
+class LearnOptions:
+    """Options of `softmap learn`, as its parser declares them."""
+
+    run: list[str]
+    out: str
+    force: bool
+    static: bool
+    robot: str | None
+    input: Literal["goal", "present"] | None
+    hold_out: list[str]
+    json: bool
+
+
 def learn_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `learn`."""
     parser.add_argument(
@@ -97,7 +123,7 @@ def learn_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def learn(args: argparse.Namespace) -> int:
+def learn(args: LearnOptions) -> int:
     """Fit a rod to reference runs and write its bundle."""
     from softmap_edge.rod.learn import learn as fit
     from softmap_edge.rod.learn import learned_model
@@ -153,6 +179,18 @@ def _memory(learned: LearnedRod, static: bool) -> list[str]:
     return [f"  {line}" for one in learned.learned_in for line in str(one).splitlines()]
 
 
+@dataclass(frozen=True)
+class SweepOptions:
+    """Options of `softmap model sweep`, as its parser declares them."""
+
+    finger: str | None
+    out: str
+    steps: int | None
+    dask: str | None
+    chunk: int | None
+    json: bool
+
+
 def sweep_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `sweep`."""
     parser.add_argument("finger", nargs="?", help="finger.toml; without it the built-in finger")
@@ -169,7 +207,7 @@ def sweep_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--chunk", type=int, metavar="ROWS", help="commands solved and stored together (256)")
 
 
-def sweep(args: argparse.Namespace) -> int:
+def sweep(args: SweepOptions) -> int:
     """Simulate a grid of commands and write commands and vertices."""
     from softmap_edge.fem.build import grid_axes, handles_of, simulator_of
     from softmap_edge.fem.doubts import doubts, lost_in_tendons
@@ -195,7 +233,7 @@ def sweep(args: argparse.Namespace) -> int:
     return 0
 
 
-def _stored(args: argparse.Namespace) -> int:
+def _stored(args: SweepOptions) -> int:
     """Simulate a grid of commands into a Zarr store, or go on with one: the work of another distribution."""
     from softmap_edge.fem.build import grid_axes
 

@@ -8,12 +8,13 @@ import json
 import sys
 import time
 from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
 
 from softmap_edge.commands.commissioning import announce, confirm, deadman, hold_argument
-from softmap_edge.commands.output import to_stderr
+from softmap_edge.commands.output import to_stderr, with_files
 from softmap_edge.commands.own import effects_argument, load_own, open_model
 from softmap_edge.commands.robot import bench_of, driving, emulated
 from softmap_edge.errors import ServoError, SoftmapError
@@ -22,7 +23,6 @@ from softmap_edge.robot.commissioning.jog import ARRIVED, EVERY, Jog, most_trave
 from softmap_edge.robot.commissioning.pull import LEAST_SHORT, SHORT
 from softmap_edge.robot.control.controller import Controller
 from softmap_edge.robot.motion.figures import WIDEST
-from softmap_edge.robot.remedies import with_files
 from softmap_edge.robot.servo import status_words as words
 from softmap_edge.robot.servo.conditions import JOG_TRAVEL
 from softmap_edge.robot.servo.home_mark import forget
@@ -51,6 +51,23 @@ HELP = (
 )
 
 
+@dataclass(frozen=True)
+class MoveOptions:
+    """Options of `softmap servo move`, as its parser declares them."""
+
+    command: str | None
+    sim: bool
+    rig: str | None
+    bundle: str | None
+    effects: list[str]
+    trust_onnx: bool
+    servo: int | None
+    by: float | None
+    seconds: float
+    hold: bool
+    json: bool
+
+
 def move_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `move`."""
     parser.add_argument("command", nargs="?", metavar="U1,U2", help="mm to go to and back; jog by keys without it")
@@ -67,28 +84,30 @@ def move_arguments(parser: argparse.ArgumentParser) -> None:
     hold_argument(parser, "; with U1,U2 nothing is asked first")
 
 
-def move(args: argparse.Namespace) -> int:
+def move(args: MoveOptions) -> int:
     """Jog, or go to one command; return 0 if it arrived, 1 if it ended short of its goal."""
     if (args.servo is None) != (args.by is None) or (args.command and args.by is not None):
         raise SoftmapError("give U1,U2, or --servo ID with --by TICKS, or none of them to jog by keys")
     _check_by(args.by, JOG_TRAVEL)
     if args.command:
-        return _go(args)
+        return _go(args, args.command)
     with _bench(args) as rig:
+        servo = None if args.servo is None else _numbered(rig, args.servo)
         if args.by is not None:
-            _numbered(rig, args.servo)
             _check_by(args.by, most_travel(rig))
         with deadman(args.hold and args.by is not None) as hand, Jog(rig, tell=to_stderr) as jog:
             begin = jog.position
-            if args.by is not None:
+            if args.by is not None and servo is not None:
                 announce(args, f"servo {args.servo} by {args.by:+.0f} ticks at {jog.slew:.0f} ticks/s", hand)
-                jog.by(_numbered(rig, args.servo), args.by, hand)
+                jog.by(servo, args.by, hand)
             else:
                 print(HELP, file=sys.stderr)
                 _by_keys(jog, hand)
             end = jog.position
             asked = args.by is not None and not hand.stopped
-            short = _jog_short(jog, _numbered(rig, args.servo), begin, args.by) if asked else ""
+            short = ""
+            if asked and servo is not None and args.by is not None:
+                short = _jog_short(jog, servo, begin, args.by)
             jog.stop()
         stood = _stood(rig, begin, end, begin + _turns(rig, args)) if asked else ""
     servos = [
@@ -100,7 +119,7 @@ def move(args: argparse.Namespace) -> int:
     return _reported(args, short, stood)
 
 
-def _turns(rig: Rig, args: argparse.Namespace) -> Any:
+def _turns(rig: Rig, args: MoveOptions) -> Any:
     """Return how far (ticks) each servo is asked to turn."""
     return np.array([args.by if servo.id == args.servo else 0.0 for servo in rig.servos], float)
 
@@ -111,7 +130,7 @@ def _check_by(by: float | None, most: float) -> None:
 
 
 @contextlib.contextmanager
-def _bench(args: argparse.Namespace) -> Iterator[Rig]:
+def _bench(args: MoveOptions) -> Iterator[Rig]:
     """Give the rig of `--rig`, or an emulated one."""
     if args.rig:
         yield read_rig(args.rig)
@@ -155,19 +174,19 @@ def _by_keys(jog: Jog, hand: Any) -> None:
     jog.obey(hand)
 
 
-def _go(args: argparse.Namespace) -> int:
+def _go(args: MoveOptions, command: str) -> int:
     """Go to a command through the whole guard, stay, and come back slack."""
     try:
-        u = np.array([float(word) for word in args.command.split(",")])
+        u = np.array([float(word) for word in command.split(",")])
     except ValueError:
-        raise SoftmapError(f"'{args.command:.40}' is no command; expected mm, one a servo: 2.5,-1") from None
+        raise SoftmapError(f"'{command:.40}' is no command; expected mm, one a servo: 2.5,-1") from None
     if not (np.abs(u) <= WIDEST).all() or not 0.0 <= args.seconds <= 600.0:
         raise SoftmapError(
             f"{args.command:.40} for {args.seconds:g} s; commands of up to {WIDEST:g} mm and 0 to 600 s are allowed"
         )
     load_own(args)
     model = open_model(args.bundle)
-    with bench_of(args, model) as there:
+    with bench_of(args.rig, model) as there:
         if len(u) != len(there.rig.servos):
             raise SoftmapError(f"{len(u)} numbers for {len(there.rig.servos)} servos; give mm, one a servo")
         if not args.hold and not confirm(f"The finger goes to {args.command} mm and comes back. Is it free?", "--hold"):
@@ -196,7 +215,7 @@ def _go(args: argparse.Namespace) -> int:
     return _reported(args, short, stood)
 
 
-def _reported(args: argparse.Namespace, short: str, stood: str) -> int:
+def _reported(args: MoveOptions, short: str, stood: str) -> int:
     """Report a move that ended off its goal, and servos that did not turn; return the exit code."""
     for said in filter(None, (short, stood)):
         to_stderr(f"softmap servo move: {with_files(said, args)}")

@@ -5,10 +5,19 @@ from __future__ import annotations
 import argparse
 import sys
 from pathlib import Path
+from typing import Protocol
 
 from softmap_edge.errors import BundleError, SoftmapError
 from softmap_edge.files.npz import archive_names
 from softmap_edge.model.bundle import check_folder
+from softmap_edge.robot.remedies import filled
+
+
+class JsonOption(Protocol):
+    """What every command has."""
+
+    @property
+    def json(self) -> bool: ...
 
 
 def check_file(option: str, path: str | None, suffix: str = "", *, new: bool = False) -> None:
@@ -38,6 +47,12 @@ def check_picture(option: str, path: str | None) -> None:
     check_file(option, path, ".svg")
     if install := pictures_missing():
         raise SoftmapError(f"{option} {path}: pictures need matplotlib; {install}, or leave {option} out")
+
+
+def with_files(text: str, args: object) -> str:
+    """Return a message with the rig and the bundle that the options of a command hold, if it has such options."""
+    rig, bundle = (vars(args).get(name) for name in ("rig", "bundle"))
+    return filled(text, rig if isinstance(rig, str) else None, bundle if isinstance(bundle, str) else None)
 
 
 def check_no_run(option: str, path: str | None, force: bool | None = None) -> None:

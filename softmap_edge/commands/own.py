@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Protocol
 
 from softmap_edge.errors import SoftmapError
 from softmap_edge.model.bundle import builtin_model, load_bundle
@@ -12,6 +14,15 @@ from softmap_edge.model.model import Model
 from softmap_edge.model.user_effect import load_effect
 
 _trust_onnx: list[bool] = []  # the value of --trust-onnx, for this process like the effects of --effects
+
+
+class OwnOptions(Protocol):
+    """What `effects_argument` declares."""
+
+    @property
+    def effects(self) -> Sequence[str]: ...
+    @property
+    def trust_onnx(self) -> bool: ...
 
 
 def effects_argument(parser: argparse.ArgumentParser, more: str = "") -> None:
@@ -35,7 +46,7 @@ def effects_argument(parser: argparse.ArgumentParser, more: str = "") -> None:
     )
 
 
-def load_own(args: argparse.Namespace) -> list[str]:
+def load_own(args: OwnOptions) -> list[str]:
     """Load the files of `--effects` and note `--trust-onnx`; return the names of the effects."""
     _trust_onnx[:] = [args.trust_onnx]
     for path in args.effects:

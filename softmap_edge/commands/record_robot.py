@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import json
 import shlex
@@ -13,7 +12,7 @@ import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from softmap_edge.commands.output import check_bundle, check_file, check_no_run, to_stderr
 from softmap_edge.commands.own import open_model
@@ -37,12 +36,15 @@ from softmap_edge.robot.open import Bench, read_bench
 from softmap_edge.run.protocol import Protocol
 from softmap_edge.run.run import Run
 
+if TYPE_CHECKING:
+    from softmap_edge.commands.experiment import RecordOptions
+
 INTERRUPTED = 130
 LOOP = ".loop.mcap"  # ends the name of the loop's recording beside the run, until that is written
 SIMULATED = ("virtual", "truth", "finger", "truth_from")
 
 
-def record_on_robot(args: argparse.Namespace) -> int:
+def record_on_robot(args: RecordOptions) -> int:
     """Play a command file on a robot and write the run; what there is of it also when it is cut short.
 
     Until the run is written, what the loop did and what was seen are in files beside it, as they come.
@@ -108,13 +110,12 @@ def record_on_robot(args: argparse.Namespace) -> int:
     return INTERRUPTED if ended is not None else 0
 
 
-def recover(args: argparse.Namespace) -> int:
+def recover(args: RecordOptions, seen_file: Path) -> int:
     """Make the run of what a recording left that was cut: the loop's file and what was seen."""
     check_file("--out", args.out, ".npz")
     check_no_run("--out", args.out)
     model = open_model(args.bundle)
     made = _commands(args, model)
-    seen_file = Path(args.recover)
     file = Path(args.record) if args.record else seen_file.with_suffix(LOOP)
     played, told = read_kept(seen_file), read_recording(file)
     if told.doubtful:
@@ -133,14 +134,14 @@ def recover(args: argparse.Namespace) -> int:
     return 0
 
 
-def _commands(args: argparse.Namespace, model: Model) -> Protocol:
+def _commands(args: RecordOptions, model: Model) -> Protocol:
     made, robot = read_commands(args.commands)
     if robot != model.robot:
         raise SoftmapError(f"{args.commands}: made for '{robot}', the model is of '{model.robot}'")
     return made
 
 
-def _document(args: argparse.Namespace, run: Run, made: Protocol) -> dict[str, Any]:
+def _document(args: RecordOptions, run: Run, made: Protocol) -> dict[str, Any]:
     return {
         "schema": "softmap.record/1", "out": args.out, "rows": len(run.t), "channels": run.channels,
         "frames": run.frames, "wanted": made.frames, "minutes": round(float(run.t[-1] - run.t[0]) / 60.0, 2),
@@ -148,7 +149,7 @@ def _document(args: argparse.Namespace, run: Run, made: Protocol) -> dict[str, A
     }  # fmt: skip
 
 
-def _left(args: argparse.Namespace) -> tuple[Path, Path]:
+def _left(args: RecordOptions) -> tuple[Path, Path]:
     """Return where the loop's recording and what is seen go until the run is written.
 
     Raises:
@@ -164,11 +165,12 @@ def _left(args: argparse.Namespace) -> tuple[Path, Path]:
     return file, seen
 
 
-def _again(args: argparse.Namespace) -> str:
+def _again(args: RecordOptions) -> str:
     """Return what makes the run of the files that are left."""
     words = ["softmap", "record", args.commands, "--recover", str(Path(args.out).with_suffix(SEEN))]
     words += ["--record", args.record] if args.record else []
-    words += ["--bundle", args.calibrated or args.bundle] if args.calibrated or args.bundle else []
+    bundle = args.calibrated or args.bundle
+    words += ["--bundle", bundle] if bundle else []
     return shlex.join([*words, "--out", args.out])
 
 
@@ -204,7 +206,7 @@ def _cut_in_order() -> Iterator[None]:
             signal.signal(one, handler)
 
 
-def _checked(args: argparse.Namespace) -> None:
+def _checked(args: RecordOptions) -> None:
     """Raise SoftmapError for arguments that do not go together, or files that cannot be written."""
     given = [f"--{name.replace('_', '-')}" for name in SIMULATED if getattr(args, name)]
     if given:
@@ -227,7 +229,7 @@ def _checked(args: argparse.Namespace) -> None:
 
 
 @contextlib.contextmanager
-def _robot(args: argparse.Namespace, model: Model) -> Iterator[tuple[Bench, Seen]]:
+def _robot(args: RecordOptions, model: Model) -> Iterator[tuple[Bench, Seen]]:
     """Give the bench and what sees it."""
     if args.emulated:
         hidden = ",".join(args.hide)
@@ -235,6 +237,8 @@ def _robot(args: argparse.Namespace, model: Model) -> Iterator[tuple[Bench, Seen
             assert bench.finger is not None
             yield bench, bench.finger.seen
         return
+    if args.rig is None:
+        raise SoftmapError("no robot is given; give --rig FILE.toml")
     announce_edited_limits(model)
     bench = read_bench(args.rig, model)
     with receiver(args, len(model.rest)) as camera:
@@ -245,7 +249,7 @@ def _robot(args: argparse.Namespace, model: Model) -> Iterator[tuple[Bench, Seen
                 print(camera.said(), file=sys.stderr)
 
 
-def _ask(args: argparse.Namespace, what: str, key: EmergencyKey) -> None:
+def _ask(args: RecordOptions, what: str, key: EmergencyKey) -> None:
     """Say what is to be done by hand, and wait until it is."""
     if args.yes or args.emulated:
         if not args.json:
@@ -258,7 +262,7 @@ def _ask(args: argparse.Namespace, what: str, key: EmergencyKey) -> None:
         sys.stdin.readline()
 
 
-def _ahead(args: argparse.Namespace, paced: Pace) -> str:
+def _ahead(args: RecordOptions, paced: Pace) -> str:
     """Say how long it will take."""
     minutes = paced.t[-1] / 60.0
     slowed = minutes / max(paced.made.minutes, 1e-9)
@@ -271,7 +275,7 @@ def _ahead(args: argparse.Namespace, paced: Pace) -> str:
     )
 
 
-def _said(args: argparse.Namespace, run: object, told: dict[str, Any]) -> str:
+def _said(args: RecordOptions, run: object, told: dict[str, Any]) -> str:
     lines = [
         f"{run}",
         f"{told['frames']} of {told['wanted']} frames in {told['minutes']:.1f} minutes, {told['settling_s']:g} s to "

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import argparse
 import json
+from dataclasses import dataclass
+from typing import Literal
 
 from softmap_edge.alignment.clouds import read_clouds
 from softmap_edge.alignment.register import TOLD
@@ -13,6 +15,20 @@ from softmap_edge.commands.own import effects_argument, load_own, open_model
 from softmap_edge.errors import RegistrationError
 
 POOR = 1  # exit code where a frame has warnings
+
+
+@dataclass(frozen=True)
+class RegisterOptions:
+    """Options of `softmap run register`, as its parser declares them."""
+
+    clouds: list[str]
+    bundle: str | None
+    effects: list[str]
+    trust_onnx: bool
+    out: str
+    mode: Literal["robust", "paper"]
+    force: bool
+    json: bool
 
 
 def register_arguments(parser: argparse.ArgumentParser) -> None:
@@ -31,7 +47,7 @@ def register_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--force", action="store_true", help="replace the run that stands at --out")
 
 
-def register(args: argparse.Namespace) -> int:
+def register(args: RegisterOptions) -> int:
     """Lay the template onto each cloud, and write the run of its vertices."""
     check_file("--out", args.out, ".npz")
     check_no_run("--out", args.out, args.force)

@@ -6,7 +6,7 @@ import argparse
 import contextlib
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import Literal
+from typing import Literal, Protocol
 
 import numpy as np
 
@@ -23,6 +23,21 @@ from softmap_edge.robot.open import Bench, read_bench
 from softmap_edge.robot.servo.loop_limits import RATE
 
 HOME = 2048.0
+
+
+class DrivenOptions(Protocol):
+    """What `driven_arguments` declares."""
+
+    @property
+    def sim(self) -> bool: ...
+    @property
+    def hide(self) -> str: ...
+    @property
+    def seed(self) -> int | None: ...
+    @property
+    def record(self) -> str | None: ...
+    @property
+    def no_effects(self) -> bool: ...
 
 
 def announce_edited_limits(model: Model) -> None:
@@ -49,7 +64,7 @@ def driven_arguments(parser: argparse.ArgumentParser, seed: str = "") -> None:
     parser.add_argument("--record", metavar="FILE.mcap", help="keep what the loop recorded")
 
 
-def check_driven(args: argparse.Namespace) -> None:
+def check_driven(args: DrivenOptions) -> None:
     """Raise SoftmapError where those arguments cannot be."""
     check_file("--record", args.record, ".mcap", new=True)
     if args.record and (seen := seen_file(args.record)).exists():
@@ -60,7 +75,7 @@ def check_driven(args: argparse.Namespace) -> None:
         raise SoftmapError("--hide: only an emulated finger can hide something; give --sim with it")
 
 
-def driven_model(args: argparse.Namespace, model: Model) -> Model:
+def driven_model(args: DrivenOptions, model: Model) -> Model:
     """Return the model without its effects where that is asked for."""
     return model.bare() if args.no_effects else model
 
@@ -83,19 +98,23 @@ def emulated(model: Model, hidden: str = "", seed: int = 0, *, person: bool = Fa
 
 
 @contextlib.contextmanager
-def bench_of(args: argparse.Namespace, model: Model, *, person: bool = False) -> Iterator[Bench]:
+def bench_of(
+    rig: str | None, model: Model, hidden: str = "", seed: int | None = None, *, person: bool = False
+) -> Iterator[Bench]:
     """Yield the robot of `--rig`, or an emulated one with the effects of `--hide` and the seed of `--seed`.
 
     Args:
-        args: the arguments; `hide` and `seed` are optional.
+        rig: file of the rig; None for an emulated robot.
         model: the model of the finger.
+        hidden: names of the injected effects of an emulated one.
+        seed: of its noise and clock; None for 0.
         person: whether a person drives the robot.
     """
-    if args.rig:
+    if rig:
         announce_edited_limits(model)
-        yield read_bench(args.rig, model)
+        yield read_bench(rig, model)
         return
-    with emulated(model, getattr(args, "hide", ""), getattr(args, "seed", None) or 0, person=person) as bench:
+    with emulated(model, hidden, seed or 0, person=person) as bench:
         yield bench
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -34,6 +35,18 @@ _BARS = "▁▂▃▄▅▆▇█"
 _WIDTH = 48  # characters of a trace
 
 
+@dataclass(frozen=True)
+class ImportOptions:
+    """Options of `softmap import`, as its parser declares them."""
+
+    logs: list[str]
+    map: str | None
+    guess: bool
+    out: str | None
+    force: bool
+    json: bool
+
+
 def import_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `import`."""
     parser.add_argument(
@@ -51,9 +64,9 @@ def import_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def import_(args: argparse.Namespace) -> int:
+def import_(args: ImportOptions) -> int:
     """Read logs by a mapping and write a run, or propose the mapping."""
-    if args.guess:
+    if args.guess or args.map is None:  # the parser asks for one of both
         return _guess(args)
     if args.out is None:
         raise RunError("--out is missing; name the run to write (.npz)")
@@ -81,7 +94,7 @@ def import_(args: argparse.Namespace) -> int:
     return DONE
 
 
-def _guess(args: argparse.Namespace) -> int:
+def _guess(args: ImportOptions) -> int:
     from softmap_edge.logs.guess import guess_mapping
 
     check_file("--out", args.out, ".toml")
@@ -106,6 +119,17 @@ def _guess(args: argparse.Namespace) -> int:
     return DONE
 
 
+@dataclass(frozen=True)
+class CheckOptions:
+    """Options of `softmap check`, as its parser declares them."""
+
+    path: str
+    bundle: str | None
+    effects: list[str]
+    trust_onnx: bool
+    json: bool
+
+
 def check_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `check`."""
     parser.add_argument("path", help="a run (.npz or .mcap), a sweep (.npz) or a bundle folder")
@@ -113,7 +137,7 @@ def check_arguments(parser: argparse.ArgumentParser) -> None:
     effects_argument(parser)
 
 
-def check(args: argparse.Namespace) -> int:
+def check(args: CheckOptions) -> int:
     """Say whether a run or bundle is sound, and what it holds; 0 when sound, 1 when not."""
     path = _existing(args.path)
     load_own(args)
@@ -143,13 +167,23 @@ def check(args: argparse.Namespace) -> int:
     return DONE if document["sound"] else FAULT
 
 
+@dataclass(frozen=True)
+class ShowOptions:
+    """Options of `softmap show`, as its parser declares them."""
+
+    path: str
+    effects: list[str]
+    trust_onnx: bool
+    json: bool
+
+
 def show_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `show`."""
     parser.add_argument("path", help="a run (.npz or .mcap), a sweep (.npz) or a bundle folder")
     effects_argument(parser)
 
 
-def show(args: argparse.Namespace) -> int:
+def show(args: ShowOptions) -> int:
     """Print what is in a run (its fields and traces) or a bundle (its manifest); code in a bundle is not run."""
     path = _existing(args.path)
     load_own(args)

@@ -3,13 +3,26 @@
 from __future__ import annotations
 
 import argparse
-from typing import Any
+from typing import Any, Protocol
 
 from softmap_edge.errors import SoftmapError
 from softmap_edge.robot.drive.observations import LATEST
 from softmap_edge.robot.drive.recorded import open_run
 from softmap_edge.robot.link.points import PointReceiver
 from softmap_edge.robot.link.session import read_key, udp_address
+
+
+class CameraOptions(Protocol):
+    """What `camera_arguments` declares."""
+
+    @property
+    def camera(self) -> str | None: ...
+    @property
+    def key(self) -> str | None: ...
+    @property
+    def like(self) -> str | None: ...
+    @property
+    def late(self) -> float | None: ...
 
 
 def camera_arguments(parser: argparse.ArgumentParser) -> None:
@@ -28,7 +41,7 @@ def camera_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def receiver(args: argparse.Namespace, count: int | None = None) -> PointReceiver:
+def receiver(args: CameraOptions, count: int | None = None) -> PointReceiver:
     """Return the receiver of `--camera`, of frames of `count` points.
 
     Raises:
@@ -40,10 +53,12 @@ def receiver(args: argparse.Namespace, count: int | None = None) -> PointReceive
         if frame is None:
             raise SoftmapError(f"--like {args.like}: it was not aligned; `softmap run align` brings it to the base")
     key = None if args.key is None else read_key(args.key)
+    if args.camera is None:
+        raise SoftmapError("no camera is given; give --camera udp://:PORT (docs/do/camera.md)")
     return PointReceiver(*udp_address(args.camera), key, count=count, frame=frame)
 
 
-def late(args: argparse.Namespace, otherwise: float = 0.0) -> float:
+def late(args: CameraOptions, otherwise: float = 0.0) -> float:
     """Return `--late`, checked.
 
     Raises:

@@ -6,7 +6,8 @@ import argparse
 import contextlib
 import json
 from collections.abc import Callable
-from typing import Any, get_args
+from dataclasses import dataclass
+from typing import Any, Literal, get_args
 
 from softmap_edge.commands.output import to_stderr
 from softmap_edge.commands.own import load_own, open_model
@@ -43,6 +44,38 @@ DONE, FAULT = 0, 1
 RULES = {rule.replace(" ", "-"): rule for rule in get_args(Rule)}
 
 
+@dataclass(frozen=True)
+class TeleopOptions:
+    """Options of `softmap teleop`, as its parser declares them."""
+
+    sim: bool
+    rig: str | None
+    send: str | None
+    fetch_model: str | None
+    new_key: str | None
+    camera: str
+    model: str | None
+    key: str | None
+    page: str
+    page_host: str
+    tip: bool
+    hand: Literal["any", "left", "right"]
+    mirrored: bool
+    flip: str
+    reach: tuple[float, float]
+    gesture: str
+    seconds: float | None
+    bundle: str | None
+    effects: list[str]
+    trust_onnx: bool
+    no_effects: bool
+    hide: str
+    seed: int | None
+    record: str | None
+    force: bool
+    json: bool
+
+
 def teleop_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `teleop`."""
     what = parser.add_mutually_exclusive_group(required=True)
@@ -71,7 +104,7 @@ def teleop_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--force", action="store_true", help="--fetch-model: replace the file that is there")
 
 
-def teleop(args: argparse.Namespace) -> int:
+def teleop(args: TeleopOptions) -> int:
     """Drive by hand until the file, Ctrl-C, q or the loop ends it."""
     if args.fetch_model:
         made = fetch_model(args.fetch_model, args.model, force=args.force)
@@ -84,10 +117,10 @@ def teleop(args: argparse.Namespace) -> int:
         return DONE
     if args.seconds is not None and not 0 < args.seconds <= 1e6:
         raise TeleopError(f"--seconds {args.seconds:g}; allowed is above 0, up to 1000000")
-    return _send(args) if args.send else _drive(args)
+    return _send(args, args.send) if args.send else _drive(args)
 
 
-def _drive(args: argparse.Namespace) -> int:
+def _drive(args: TeleopOptions) -> int:
     check_driven(args)
     load_own(args)
     whole = open_model(args.bundle)
@@ -107,7 +140,7 @@ def _drive(args: argparse.Namespace) -> int:
             to_stderr(HELP)
         if not inputs and args.seconds is None and not by_hand:
             raise TeleopError("nothing can drive: no page, no terminal, no camera; leave --page none away")
-        bench = stack.enter_context(bench_of(args, whole, person=True))
+        bench = stack.enter_context(bench_of(args.rig, whole, args.hide, args.seed, person=True))
         model = driven_model(args, bench.model)
         kinematics = Kinematics(model, axes="xy" if args.tip else "xyz")
         aim: HandMapping = TipMapping(kinematics) if args.tip else DirectMapping(kinematics)
@@ -147,7 +180,7 @@ def _drive(args: argparse.Namespace) -> int:
     return FAULT if account.failed else DONE
 
 
-def _eyes(args: argparse.Namespace, stack: contextlib.ExitStack) -> HandSource:
+def _eyes(args: TeleopOptions, stack: contextlib.ExitStack) -> HandSource:
     view = View(args.hand, args.mirrored)
     if args.camera == "none":
         return NullHandSource()
@@ -158,10 +191,10 @@ def _eyes(args: argparse.Namespace, stack: contextlib.ExitStack) -> HandSource:
     return camera_hand_source(what, args.model, view)
 
 
-def _send(args: argparse.Namespace) -> int:
-    there = source(args.send)
+def _send(args: TeleopOptions, target: str) -> int:
+    there = source(target)
     if not isinstance(there, UdpAddress) or not there.host:
-        raise TeleopError(f"--send {args.send}: give udp://HOST:PORT")
+        raise TeleopError(f"--send {target}: give udp://HOST:PORT")
     what = source(args.camera) if args.camera != "none" else None
     if what is None or isinstance(what, UdpAddress):
         raise TeleopError(f"--send: --camera {args.camera} gives no pictures; give a camera, or a video")
@@ -181,7 +214,7 @@ def _send(args: argparse.Namespace) -> int:
     return FAULT if sent.failed else DONE
 
 
-def _key(args: argparse.Namespace, what: str) -> bytes:
+def _key(args: TeleopOptions, what: str) -> bytes:
     if args.key is None:
         raise TeleopError(f"{what} needs --key FILE, the same on both computers; --new-key FILE makes one")
     return read_key(args.key)
@@ -209,7 +242,7 @@ def _flips(text: str) -> tuple[bool, bool]:
     return "x" in named, "y" in named
 
 
-def _print(args: argparse.Namespace, told: dict[str, Any], text: str) -> None:
+def _print(args: TeleopOptions, told: dict[str, Any], text: str) -> None:
     print(json.dumps({"schema": "softmap.teleop/1", **told}) if args.json else text)
 
 

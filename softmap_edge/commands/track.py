@@ -9,6 +9,7 @@ import shlex
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -40,6 +41,39 @@ from softmap_edge.robot.servo.loop_limits import servo_limits
 from softmap_edge.run.folds import LEAST_WITHHOLDING
 
 
+@dataclass(frozen=True)
+class TrackOptions:
+    """Options of `softmap track`, as its parser declares them."""
+
+    figure: str | None
+    sim: bool
+    rig: str | None
+    plan: bool
+    table: bool
+    workspace: bool
+    rival: str | None
+    reach: list[float] | None
+    amplitude: float
+    duration: float
+    rate: float | None
+    axes: str | None
+    method: str | None
+    observe: bool
+    camera: str | None
+    key: str | None
+    like: str | None
+    late: float | None
+    bundle: str | None
+    effects: list[str]
+    trust_onnx: bool
+    no_effects: bool
+    hide: str
+    seed: int | None
+    record: str | None
+    picture: str | None
+    json: bool
+
+
 def track_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `track`."""
     parser.add_argument("figure", nargs="?", help=f"{', '.join(FIGURES)}, or a polyline: FILE.csv (x,y)")
@@ -64,7 +98,7 @@ def track_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--picture", metavar="FILE.svg", help="draw it")
 
 
-def track(args: argparse.Namespace) -> int:
+def track(args: TrackOptions) -> int:
     """Lead the tip along a figure, judge it, draw it."""
     check_driven(args)
     check_picture("--picture", args.picture)
@@ -88,14 +122,14 @@ def track(args: argparse.Namespace) -> int:
         return workspace(args, Kinematics(driven_model(args, whole), axes=args.axes or "xyz"))
     tracked = kept = None
     with contextlib.ExitStack() as stack:
-        bench = None if args.plan else stack.enter_context(bench_of(args, whole))
+        bench = None if args.plan else stack.enter_context(bench_of(args.rig, whole, args.hide, args.seed))
         seen = None if bench is None else stack.enter_context(_eyes(args, bench))
         calibration = bench.calibration if bench else whole.calibration or plain_map(whole)
         kinematics = Kinematics(driven_model(args, bench.model if bench else whole), axes=args.axes or "xy")
         limits = bench.limits["servos"] if bench else [servo_limits(SERVO, 0, (-1000.0, 1000.0))] * whole.channels
         planned = course(
             kinematics,
-            args.figure,
+            str(args.figure),
             amplitude=args.amplitude,
             duration=args.duration,
             rate=30.0 if args.rate is None else args.rate,
@@ -118,12 +152,13 @@ def track(args: argparse.Namespace) -> int:
         _draw(args.picture, kinematics, planned, tracked)
     sound = bench is not None and robot.unrecorded is None
     document = _document(args, kinematics, planned, tracked) | {"record": args.record if sound else None}
-    document["seen"] = str(seen_file(args.record)) if sound and kept is not None and kept.fault is None else None
+    seen_in = None if args.record is None else seen_file(args.record)
+    document["seen"] = str(seen_in) if sound and kept is not None and kept.fault is None else None
     print(json.dumps(document) if args.json else _text(document))
     if bench is not None:
         robot.check_recorded()
     if kept is not None and kept.fault is not None:
-        raise SoftmapError(f"{seen_file(args.record)}: what was seen is kept no more ({kept.fault}); see to that")
+        raise SoftmapError(f"{seen_in}: what was seen is kept no more ({kept.fault}); see to that")
     return 0
 
 
@@ -138,7 +173,7 @@ def _shown_first(done: Callable[[], Tracked | None]) -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def _eyes(args: argparse.Namespace, bench: Bench) -> Iterator[Seen | None]:
+def _eyes(args: TrackOptions, bench: Bench) -> Iterator[Seen | None]:
     """Give what sees the robot, if anything does."""
     if bench.finger is not None or args.camera is None:
         yield None if bench.finger is None else bench.finger.seen
@@ -150,7 +185,7 @@ def _eyes(args: argparse.Namespace, bench: Bench) -> Iterator[Seen | None]:
 
 
 @contextlib.contextmanager
-def _kept(args: argparse.Namespace, seen: Seen | None, behind: float, bench: Bench) -> Iterator[Keeper | None]:
+def _kept(args: TrackOptions, seen: Seen | None, behind: float, bench: Bench) -> Iterator[Keeper | None]:
     """Keep what is seen beside the recording, where there is one."""
     if seen is None or args.record is None:
         yield None
@@ -165,9 +200,7 @@ def _draw(path: str, kinematics: Kinematics, planned: Course, tracked: Tracked |
     write_atomically(path, track_figure(kinematics, planned, tracked))
 
 
-def _document(
-    args: argparse.Namespace, kinematics: Kinematics, planned: Course, tracked: Tracked | None
-) -> dict[str, Any]:
+def _document(args: TrackOptions, kinematics: Kinematics, planned: Course, tracked: Tracked | None) -> dict[str, Any]:
     plan, counts = planned.plan, planned.counts
     seen = tracked is not None and len(tracked.error) > 0
     return {

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import argparse
 import json
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -18,8 +17,11 @@ from softmap_edge.robot.motion.figures import WIDEST
 from softmap_edge.robot.motion.kinematics import AXES, Kinematics
 from softmap_edge.synthetic.table_two import table_two, text_of
 
+if TYPE_CHECKING:
+    from softmap_edge.commands.track import TrackOptions
 
-def table(args: argparse.Namespace, model: Model) -> int:
+
+def table(args: TrackOptions, model: Model) -> int:
     """Print the table."""
     rival = None if args.rival is None else open_model(args.rival)
     seed = 1 if args.seed is None else args.seed
@@ -45,7 +47,7 @@ def table(args: argparse.Namespace, model: Model) -> int:
     return 0
 
 
-def workspace(args: argparse.Namespace, kinematics: Kinematics) -> int:
+def workspace(args: TrackOptions, kinematics: Kinematics) -> int:
     """Say what the tip can reach, whether a point is in it, and draw it."""
     target = None if args.reach is None else np.asarray(args.reach, float)
     rest = np.asarray(kinematics.tip.evaluate(kinematics.home[None]))[0]

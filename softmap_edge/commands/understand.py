@@ -6,10 +6,11 @@ import argparse
 import json
 import sys
 from collections.abc import Callable
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from softmap_edge.commands.output import bundle_arguments, check_bundle, check_file, check_kept
+from softmap_edge.commands.output import JsonOption, bundle_arguments, check_bundle, check_file, check_kept
 from softmap_edge.commands.own import effects_argument, load_own, open_model
 from softmap_edge.commands.progress import Bar
 from softmap_edge.commands.seeing import camera_arguments
@@ -24,6 +25,24 @@ NUMBERS = {
     "kept": "the rod's own numbers stay as they were fitted with the effect, since this bundle does not hold those of "
     "before; `softmap learn` fits them again",
 }
+
+
+@dataclass(frozen=True)
+class CompareOptions:
+    """Options of `softmap compare`, as its parser declares them."""
+
+    run: str
+    live: bool
+    camera: str | None
+    key: str | None
+    like: str | None
+    late: float | None
+    seconds: float | None
+    bundle: list[str] | None
+    effects: list[str]
+    trust_onnx: bool
+    html: str | None
+    json: bool
 
 
 def compare_arguments(parser: argparse.ArgumentParser) -> None:
@@ -42,7 +61,7 @@ def compare_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--html", metavar="FILE", help="write one self-contained page with pictures")
 
 
-def compare(args: argparse.Namespace) -> int:
+def compare(args: CompareOptions) -> int:
     """Show how far a model is from a run, and where; 1 if the last of several bundles is worse than the first."""
     if args.live:
         from softmap_edge.commands.live import compare_live
@@ -55,7 +74,7 @@ def compare(args: argparse.Namespace) -> int:
 
     check_file("--html", args.html, ".html")
     load_own(args)
-    models = [open_model(path) for path in args.bundle or [None]]
+    models = [open_model(path) for path in args.bundle] if args.bundle else [open_model(None)]
     run = open_run(args.run, models[0])
     warn_outside("compare", models[0], run)
     found = [measure(model, run) for model in models]
@@ -70,6 +89,22 @@ def compare(args: argparse.Namespace) -> int:
     if args.html:
         write_page(args.html, run, models[0], models[-1], None, "measured")
     return int(len(found) > 1 and found[-1].error["rms_mm"] > found[0].error["rms_mm"])
+
+
+@dataclass(frozen=True)
+class DiagnoseOptions:
+    """Options of `softmap diagnose`, as its parser declares them."""
+
+    runs: list[str]
+    bundle: str | None
+    held_out: str | None
+    reference: list[str] | None
+    effects: list[str]
+    trust_onnx: bool
+    html: str | None
+    out: str | None
+    since: str | None
+    json: bool
 
 
 def diagnose_arguments(parser: argparse.ArgumentParser) -> None:
@@ -93,7 +128,7 @@ def diagnose_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--since", metavar="FILE", help="an earlier diagnosis: report what was settled since then")
 
 
-def diagnose(args: argparse.Namespace) -> int:
+def diagnose(args: DiagnoseOptions) -> int:
     """Name the family of effects that a model lacks, and its law; return 0 for every verdict."""
     from softmap_edge.diagnosis.diagnose import diagnose as find
     from softmap_edge.diagnosis.document import Diagnosis
@@ -105,12 +140,12 @@ def diagnose(args: argparse.Namespace) -> int:
         raise SoftmapError(f"--out {args.out} would replace the diagnosis of --since; give another name")
     before = None if args.since is None else Diagnosis.load(args.since).to_dict()
     names = [name for text in args.effects if not text.endswith(".py") for name in _names(text)]
-    args.effects = [path for path in args.effects if path.endswith(".py")]
-    own = load_own(args)
+    files = [path for path in args.effects if path.endswith(".py")]
+    own = load_own(replace(args, effects=files))
     wanted = [*dict.fromkeys([*names, *own])] if names else None
     model = open_model(args.bundle)
     runs, references = ([open_run(path, model) for path in paths] for paths in (args.runs, args.reference or []))
-    held_out = args.held_out and open_run(args.held_out, model)
+    held_out = None if args.held_out is None else open_run(args.held_out, model)
     for run in [*runs, *references]:
         warn_outside("diagnose", model, run)
     found = find(model, runs, held_out, wanted, teller(args), reference=references or None)
@@ -123,6 +158,20 @@ def diagnose(args: argparse.Namespace) -> int:
     if before is not None and not args.json:
         print("\n".join(["", *progress_lines(before, found.to_dict())]))
     return 0
+
+
+@dataclass(frozen=True)
+class AddOptions:
+    """Options of `softmap add`, as its parser declares them."""
+
+    name: str | None
+    source: str
+    bundle: str | None
+    effects: list[str]
+    trust_onnx: bool
+    out: str
+    force: bool
+    json: bool
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -139,7 +188,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     bundle_arguments(parser)
 
 
-def add(args: argparse.Namespace) -> int:
+def add(args: AddOptions) -> int:
     """Write a bundle with effects of a diagnosis added, with their fitted numbers."""
     from softmap_edge.diagnosis.document import Diagnosis
 
@@ -158,6 +207,19 @@ def add(args: argparse.Namespace) -> int:
     return _write(args, diagnosis.added(model, names), {"added": names} | relative | _dropped(model))
 
 
+@dataclass(frozen=True)
+class RemoveOptions:
+    """Options of `softmap model remove`, as its parser declares them."""
+
+    name: str
+    bundle: str
+    effects: list[str]
+    trust_onnx: bool
+    out: str
+    force: bool
+    json: bool
+
+
 def remove_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `softmap model remove`."""
     parser.add_argument("name", metavar="NAME[,NAME]", help="the effects to remove, or `residual`")
@@ -166,7 +228,7 @@ def remove_arguments(parser: argparse.ArgumentParser) -> None:
     bundle_arguments(parser)
 
 
-def remove(args: argparse.Namespace) -> int:
+def remove(args: RemoveOptions) -> int:
     """Write a bundle without some of its effects, or without its residual."""
     check_bundle(args.out, args.force)
     load_own(args)
@@ -186,6 +248,20 @@ def remove(args: argparse.Namespace) -> int:
     return _write(args, model.with_effects(rest, params), {"removed": names} | numbers | dropped)
 
 
+@dataclass(frozen=True)
+class RefitOptions:
+    """Options of `softmap model refit`, as its parser declares them."""
+
+    runs: list[str]
+    bundle: str | None
+    finger: str | None
+    effects: list[str]
+    trust_onnx: bool
+    out: str
+    force: bool
+    json: bool
+
+
 def refit_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `softmap model refit`."""
     parser.add_argument(
@@ -198,10 +274,10 @@ def refit_arguments(parser: argparse.ArgumentParser) -> None:
     bundle_arguments(parser)
 
 
-def refit(args: argparse.Namespace) -> int:
+def refit(args: RefitOptions) -> int:
     """Fit the effects of a bundle again, or a finger's own numbers; 1 if the held-out error does not fall."""
     if args.finger is not None:
-        return _refit_finger(args)
+        return _refit_finger(args, args.finger)
     from softmap_edge.diagnosis.diagnose import refit as fit_again
 
     check_bundle(args.out, args.force)
@@ -212,7 +288,7 @@ def refit(args: argparse.Namespace) -> int:
     return int(report["after_held_out_rms_mm"] > report["before_rms_mm"])
 
 
-def _refit_finger(args: argparse.Namespace) -> int:
+def _refit_finger(args: RefitOptions, finger: str) -> int:
     from softmap_edge.fem.finger import Finger
     from softmap_edge.fem.fit import fit_finger
 
@@ -221,7 +297,7 @@ def _refit_finger(args: argparse.Namespace) -> int:
     if len(args.runs) > 1:
         raise SoftmapError(f"{len(args.runs)} runs; a finger's own numbers are fitted to one")
     with Bar(args.json) as bar:
-        found = fit_finger(Finger.load(args.finger), open_run(args.runs[0]), bar)
+        found = fit_finger(Finger.load(finger), open_run(args.runs[0]), bar)
     write_atomically(args.out, found.finger.to_toml())
     if args.json:
         print(json.dumps({**found.to_dict(), "out": str(args.out)}, indent=1))
@@ -285,7 +361,7 @@ def _dropped(model: Any) -> dict[str, Any]:
     return {} if model.residual is None else {"residual": "dropped"}
 
 
-def _write(args: argparse.Namespace, model: Any, report: dict[str, Any]) -> int:
+def _write(args: AddOptions | RemoveOptions | RefitOptions, model: Any, report: dict[str, Any]) -> int:
     from softmap_edge.model.bundle import save_bundle
 
     folder = save_bundle(model, args.out)
@@ -312,7 +388,7 @@ def _write(args: argparse.Namespace, model: Any, report: dict[str, Any]) -> int:
     return 0
 
 
-def teller(args: argparse.Namespace) -> Callable[[str], None] | None:
+def teller(args: JsonOption) -> Callable[[str], None] | None:
     if args.json or not sys.stderr.isatty():
         return None
     return lambda line: print(line, file=sys.stderr)

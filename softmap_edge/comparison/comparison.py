@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from softmap_edge.checks.lost_points import without_lost
 from softmap_edge.diagnosis.findings import Bin
 from softmap_edge.errors import ComparisonError
+from softmap_edge.files.atomic import Document
 from softmap_edge.model.views import members, roll_seen, without_roll
 from softmap_edge.noise.floor import BOUND, commanded, memoryless_floor, noise_floor, rms
 from softmap_edge.run.conditions import Cell, cells, conditions
@@ -46,7 +47,7 @@ class MemorylessFloor:
     passages: int
     frames: int
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> Document:
         """Return it as plain numbers."""
         return asdict(self)
 
@@ -55,14 +56,14 @@ class MemorylessFloor:
 class Comparison:
     """The error of one model on one run; prints itself, and `to_dict()` is the document softmap.comparison/1."""
 
-    run: dict[str, Any]
-    bundle: dict[str, Any]
+    run: Document
+    bundle: Document
     frames: int
     error: dict[str, float]
     noise_floor_mm: float | None
     where: dict[str, list[Bin]]
-    worst: dict[str, Any]
-    made_from: dict[str, Any]
+    worst: Document
+    made_from: Document
     memoryless: MemorylessFloor | None = None  # None where too few poses are repeated
 
     def __str__(self) -> str:
@@ -80,7 +81,7 @@ class Comparison:
         """Whether the noise floor holds more than noise."""
         return self.floor_kind.endswith(BOUND)
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> Document:
         """Return the document softmap.comparison/1: plain numbers, strings, lists and dicts."""
         return {
             "schema": SCHEMA,
@@ -265,10 +266,10 @@ def _bin_of(cell: Cell, squared: Floats, visible: Mask) -> Bin:
     return Bin(cell.label, cell.low, cell.high, count, rms(squared[cell.frames][inside]) if count else 0.0)
 
 
-def _worst(where: dict[str, list[Bin]], squared: Floats, visible: Mask, run: Run) -> dict[str, Any]:
+def _worst(where: dict[str, list[Bin]], squared: Floats, visible: Mask, run: Run) -> Document:
     """The bin that stands out most in each condition, worst first, and the worst frame."""
     least = max(3, round(0.02 * len(squared)))
-    found: list[dict[str, Any]] = []
+    found: list[Document] = []
     for name, rows in where.items():
         enough = [row for row in rows if row.n >= least]
         if len(enough) > 1:
@@ -301,10 +302,10 @@ def _model_digest(model: Model) -> str:
     return sha.hexdigest()
 
 
-def _made_from(kind: str, model: Model, run: Run) -> dict[str, Any]:
+def _made_from(kind: str, model: Model, run: Run) -> Document:
     from softmap_edge.version import __version__
 
-    made: dict[str, Any] = {"softmap_edge": __version__, "numpy": np.__version__, "noise_floor": kind}
+    made: Document = {"softmap_edge": __version__, "numpy": np.__version__, "noise_floor": kind}
     made |= {} if model.output is None else {"output": model.output.to_dict()}
     return made | ({"timeless": True} if run.timeless else {})
 

@@ -14,7 +14,6 @@ import math
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +21,7 @@ from numpy.typing import NDArray
 from softmap_edge import _core
 from softmap_edge.comparison.comparison import aligned
 from softmap_edge.errors import ComparisonError, RunError
+from softmap_edge.files.atomic import Document
 from softmap_edge.model.chain_labels import valued
 from softmap_edge.model.effect_info import registry
 from softmap_edge.model.model import Model
@@ -50,7 +50,7 @@ class LiveError:
     worst_mm: float
     left_out: int
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> Document:
         """Return it as a document softmap.live/1."""
         told = {name: value for name, value in vars(self).items()}
         plain = {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in told.items()}
@@ -92,7 +92,7 @@ class Live:
         self._errors: deque[tuple[float, float, int]] = deque()  # s, mean square mm², points, of the last RECENT s
         self._square, self._points, self._worst, self._frames, self.left_out = 0.0, 0, math.nan, 0, 0
 
-    def drove(self, periods: Iterable[dict[str, Any]]) -> None:
+    def drove(self, periods: Iterable[Document]) -> None:
         """Take periods of a loop; those in which a servo was not heard count nothing.
 
         Raises:

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,6 +44,7 @@ from softmap_edge.diagnosis.prepare import load_seen
 from softmap_edge.diagnosis.record import Record
 from softmap_edge.diagnosis.separate import mended, next_blocks, refits
 from softmap_edge.diagnosis.wording import OwnMisfit, at_bounds, sentence_of, unconfirmed, verdict_of
+from softmap_edge.files.atomic import Document
 from softmap_edge.model.effect_info import Registry, registry
 from softmap_edge.model.user_effect import hashes
 from softmap_edge.noise.floor import noise_of_runs
@@ -70,7 +70,7 @@ class Context:
     proof: Certified | None = None
 
 
-def conclude(outcome: Outcome, fit: Fit, context: Context) -> dict[str, Any]:
+def conclude(outcome: Outcome, fit: Fit, context: Context) -> Document:
     """Say what a finished search means.
 
     Args:
@@ -399,7 +399,7 @@ def _error(outcome: Outcome, order: Sequence[str], other: Record | None) -> Erro
     )  # fmt: skip
 
 
-def _made_from(outcome: Outcome, order: Sequence[str], context: Context, known: Registry) -> dict[str, Any]:
+def _made_from(outcome: Outcome, order: Sequence[str], context: Context, known: Registry) -> Document:
     from softmap_edge.version import __version__
 
     problem, other = outcome.body.problem, context.other

@@ -43,6 +43,7 @@ from softmap_edge.diagnosis.taught import TaughtRuns, with_unknown
 from softmap_edge.diagnosis.wording import OwnMisfit
 from softmap_edge.diagnosis.wrong_declarations import strange, wrong_load, wrong_sign
 from softmap_edge.errors import SoftmapError
+from softmap_edge.files.atomic import Document
 from softmap_edge.model.effect_info import registry
 from softmap_edge.model.learned_in import LearnedNumber
 from softmap_edge.model.servo_calibration import converted
@@ -168,7 +169,7 @@ def _apart(run: Run | Sequence[Run], held_out: Run | None, reference: Run | Sequ
         raise SoftmapError("the reference is the run itself, so nothing differs; give a recording of before the change")
 
 
-def refit(model: Model, run: Run | Sequence[Run]) -> tuple[Model, dict[str, Any]]:
+def refit(model: Model, run: Run | Sequence[Run]) -> tuple[Model, Document]:
     """Fit a model's own effects again to a run, with a number for each channel where that is far better.
 
     Returns:
@@ -218,7 +219,7 @@ def _relearned(model: Model, numbers: Mapping[str, Number]) -> Model:
     return replace(model, made_from={**model.made_from, "learned_in": records}) if records else model
 
 
-def showing(model: Model, run: Run) -> list[dict[str, Any]]:
+def showing(model: Model, run: Run) -> list[Document]:
     """Say, before any fit, which effects would show in a run: how large each is at mid-range against the noise.
 
     Returns:
@@ -294,7 +295,7 @@ def _validation(model: Model, held_out: Run, reference: Run | Sequence[Run] | No
         ) from None
 
 
-def _named_nothing(values: Mapping[str, Any], verdict: str, why: str) -> dict[str, Any]:
+def _named_nothing(values: Document, verdict: str, why: str) -> Document:
     """Return the fields of a diagnosis that names no effect, for a reason that the search does not know."""
     error = replace(values["error"], ladder=(), with_static_residual=None)
     return {**values, "verdict": verdict, "sentence": why, "error": error} | dict.fromkeys(NAMED, ())

@@ -30,7 +30,7 @@ from softmap_edge.diagnosis.findings import (
 )
 from softmap_edge.diagnosis.spools import RADIUS
 from softmap_edge.errors import ReportError, SoftmapError, brief
-from softmap_edge.files.atomic import read_document
+from softmap_edge.files.atomic import Document, read_document
 from softmap_edge.model.chain_labels import readings, valued
 from softmap_edge.model.learned_in import LearnedIn
 from softmap_edge.model.parameter_layout import ranges_of
@@ -67,13 +67,13 @@ class Diagnosis:
     error: ErrorLadder = field(default_factory=ErrorLadder)
     unexplained: Unexplained = field(default_factory=Unexplained)
     next: tuple[NextBlock, ...] = ()
-    made_from: dict[str, Any] = field(default_factory=dict)
+    made_from: Document = field(default_factory=dict)
     servo: tuple[ServoFinding, ...] = ()
     learned_in: tuple[LearnedIn, ...] = ()  # effects that were in the robot while the model was learned
     remarks: tuple[str, ...] = ()  # on the run itself: what was set aside, what it cannot show
     model: Any = field(default=None, repr=False)  # a Model; callers of `diagnose` need not look for None
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> Document:
         """Return the document softmap.diagnosis/2."""
         return {"schema": SCHEMA} | {f.name: plain(getattr(self, f.name)) for f in fields(self) if f.name != "model"}
 
@@ -163,7 +163,7 @@ class Diagnosis:
         return diagnosis_text(self.to_dict())
 
 
-def with_error(model: Any, entries: Sequence[Finding]) -> Any:
+def with_error(model: Model, entries: Sequence[Finding]) -> Model:
     """Return a model that errs by what the effects say that were added to it: with other numbers it is another rod."""
     for entry in entries:
         if entry.refitted is None:

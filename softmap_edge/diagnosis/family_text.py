@@ -8,13 +8,13 @@ tests/report/test_loop_figure.py.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
+from softmap_edge.files.atomic import Document
 from softmap_edge.files.numbers import folded, mm, number, percent, tamed
 
 LEARNED = "Learned with the model: present in the robot at that time"
 TITLE = "What the model lacks: the family of effects, then its law"
-Row = Mapping[str, Any]
+Row = Document
 
 
 def family_line(row: Row, findings: Sequence[Row]) -> str:
@@ -71,7 +71,7 @@ def family_facts(row: Row, unit: str) -> list[str]:
     return facts
 
 
-def family_lines(document: Mapping[str, Any], unit: str) -> list[str]:
+def family_lines(document: Document, unit: str) -> list[str]:
     """Return the section on families of a report for a terminal; nothing where none was detected."""
     rows = document.get("families") or []
     lines = ["", TITLE] if rows else []
@@ -98,6 +98,6 @@ def learned_line(row: Row) -> str:
     return tamed(line + (f"; alternatives: {', '.join(dict.fromkeys(others))}" if others else ""))
 
 
-def findings_of(document: Mapping[str, Any]) -> list[Row]:
+def findings_of(document: Document) -> list[Row]:
     """Return the entries of `effects` and `faults` of a diagnosis document."""
     return [*(document.get("effects") or []), *(document.get("faults") or [])]

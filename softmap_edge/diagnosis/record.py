@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Sequence
 from copy import copy
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -102,7 +102,7 @@ class Record:
         self.section: NDArray[np.int64] = np.asarray(mapping.section)
         self.form_error = np.asarray(model.run_form_error(run), float)
         self._leaning = np.asarray(model.run_leaning(run), float)
-        self.block: NDArray[Any] | None = run.block
+        self.block: NDArray[np.generic] | None = run.block
         self.roll_seen = not laid(run)
         self.across = unmeasured_parameters(run)  # of a run whose markers lie in a plane
 

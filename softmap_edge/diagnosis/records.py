@@ -11,13 +11,14 @@ from collections.abc import Collection, Sequence
 from copy import copy
 from dataclasses import fields, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.diagnosis.record import Forms, Record
 from softmap_edge.errors import SoftmapError
+from softmap_edge.files.atomic import Document
 from softmap_edge.model.parameter_layout import Layout
 from softmap_edge.run.conditions import Conditions
 
@@ -113,7 +114,7 @@ class Records(Record):
     def state(self) -> Conditions:
         """What the commands were doing at each frame; a dwell belongs to one run."""
         states = [part.state for part in self.parts]
-        columns: dict[str, Any] = {}
+        columns: Document = {}
         for f in fields(Conditions):
             rows = [getattr(state, f.name) for state in states]
             columns[f.name] = None if any(row is None for row in rows) else np.concatenate(rows)

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,9 @@ from numpy.typing import NDArray
 from softmap_edge.model.parameter_layout import Layout
 from softmap_edge.model.servo_calibration import TURN, Calibration
 from softmap_edge.run.run import Run, spool_radius
+
+if TYPE_CHECKING:
+    from softmap_edge.model.model import Model
 
 Floats = NDArray[np.float64]
 
@@ -37,7 +40,7 @@ class Spool:
     source: str
 
 
-def spool_of(model: Any, runs: Sequence[Run]) -> Spool | None:
+def spool_of(model: Model, runs: Sequence[Run]) -> Spool | None:
     """Return the radius of the spools of a robot; None if neither its calibration nor every run gives it."""
     calibration = model.calibration
     if calibration is not None and calibration.unit == model.command_unit:

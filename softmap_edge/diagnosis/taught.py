@@ -8,9 +8,9 @@ again (`Record.remapped`, `families.State`). Pinned by tests/diagnosis/test_taug
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -18,6 +18,7 @@ from softmap_edge import _core
 from softmap_edge.diagnosis.families import families
 from softmap_edge.diagnosis.findings import FamilyFinding, Finding, NextBlock, Untestable
 from softmap_edge.diagnosis.record import Record
+from softmap_edge.files.atomic import Document
 from softmap_edge.run.conditions import orientations
 
 if TYPE_CHECKING:
@@ -99,7 +100,7 @@ class TaughtRuns:
         return [NextBlock(AGAIN, 0.0, tuple(one.name for one in found))] if self.static and found else []
 
 
-def with_unknown(model: Model, values: Mapping[str, Any], teacher: TaughtRuns) -> dict[str, Any]:
+def with_unknown(model: Model, values: Document, teacher: TaughtRuns) -> Document:
     """Return the changes to a diagnosis that named nothing, if `learn` detected a memory without a law.
 
     The error of a learned model is part of its noise, and such a memory is part of this error. In the runs that taught

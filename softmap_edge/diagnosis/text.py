@@ -7,17 +7,17 @@ what it was measured on.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from typing import Any
 
 from softmap_edge.diagnosis.document import VERDICTS, Diagnosis
 from softmap_edge.diagnosis.family_text import LEARNED, family_lines, learned_line
 from softmap_edge.diagnosis.findings import Certificate, read
+from softmap_edge.files.atomic import Document
 from softmap_edge.files.numbers import LARGEST, bar, folded, mm, number, percent, tamed
 from softmap_edge.run.in_unit import PLACES, in_unit, output_of, unit_of
 
 
-def diagnosis_text(document: Mapping[str, object]) -> str:
+def diagnosis_text(document: Document) -> str:
     """Return the report of a diagnosis document.
 
     Args:
@@ -68,7 +68,7 @@ LADDER_NOTE = (
 )
 
 
-def ladder_steps(error: Mapping[str, Any]) -> list[tuple[str, float]]:
+def ladder_steps(error: Document) -> list[tuple[str, float]]:
     """Return the steps of a diagnosis's error ladder as (what, mm), the model alone first.
 
     Args:
@@ -83,7 +83,7 @@ def ladder_steps(error: Mapping[str, Any]) -> list[tuple[str, float]]:
     return [(name, known) for name, value in steps if (known := number(value)) is not None]
 
 
-def _effect_lines(row: Mapping[str, Any], place_unit: str) -> list[str]:
+def _effect_lines(row: Document, place_unit: str) -> list[str]:
     shift = row.get("displacement_mm") or {}
     head = f"  {row.get('name', '?')}  ({row.get('family', '?')}, stage {row.get('stage', '?')})"
     held = shift.get("held_out")
@@ -105,7 +105,7 @@ def moved_by(unit: str) -> str:
     return "the body" if unit == PLACES else "the output"
 
 
-def again(row: Mapping[str, Any]) -> list[str]:
+def again(row: Document) -> list[str]:
     """Return a sentence on the numbers of the model that were fitted again with an effect, if there are any."""
     changed = (row.get("refitted") or {}).get("params") or {}
     return (
@@ -113,12 +113,12 @@ def again(row: Mapping[str, Any]) -> list[str]:
     )
 
 
-def confirmed(row: Mapping[str, object]) -> list[str]:
+def confirmed(row: Document) -> list[str]:
     """Return a sentence on what the withheld blocks of the run say of an effect, if that is known."""
     return [str(read(Certificate, row["certificate"], "certificate"))] if row.get("certificate") else []
 
 
-def parameter(value: Mapping[str, Any]) -> str:
+def parameter(value: Document) -> str:
     """Return a fitted parameter as 'value ± sigma unit', with as many digits as its sigma allows."""
     best, sigma, unit = number(value.get("value")), value.get("sigma") or 0.0, str(value.get("unit") or "")
     unit = "" if unit == "1" else unit  # a plain number
@@ -134,7 +134,7 @@ def parameter(value: Mapping[str, Any]) -> str:
     return f"{best:.{digits}f} ± {sigma:.{digits}f} {unit}".rstrip()
 
 
-def servo_row(row: Mapping[str, Any]) -> tuple[str, str]:
+def servo_row(row: Document) -> tuple[str, str]:
     """Return what an entry of `servo` says as (channel, effects and the held-out error before and after)."""
     error, unit = row.get("error") or {}, str(row.get("unit") or "")
     found = [
@@ -147,7 +147,7 @@ def servo_row(row: Mapping[str, Any]) -> tuple[str, str]:
     return f"channel {row.get('channel', '?')}", f"{what} (held-out RMS)"
 
 
-def _ladder_lines(error: Mapping[str, object]) -> list[str]:
+def _ladder_lines(error: Document) -> list[str]:
     steps = ladder_steps(error)
     if not steps:
         return []
@@ -166,7 +166,7 @@ def _ladder_lines(error: Mapping[str, object]) -> list[str]:
     return [*lines, *([f"  {' · '.join(told)}"] if told else [])]
 
 
-def _noise_lines(made_from: Mapping[str, object], unit: str) -> list[str]:
+def _noise_lines(made_from: Document, unit: str) -> list[str]:
     """Return the noise of a point of each run, the number that `check` and `compare` report."""
     output, values = output_of(made_from), made_from.get("noise_of_points_mm")
     given = [value for value in values if number(value) is not None] if isinstance(values, list) else []
@@ -186,16 +186,16 @@ def _list_lines(title: str, rows: Any, text: Any) -> list[str]:
     return lines
 
 
-def alternative_name(row: Mapping[str, Any]) -> str:
+def alternative_name(row: Document) -> str:
     """Return the name of an alternative: its effects, or the family without a known law."""
     return " + ".join(map(str, row.get("effects") or [])) or str(row.get("family") or "?")
 
 
-def _alternative(row: Mapping[str, object]) -> str:
+def _alternative(row: Document) -> str:
     return f"{alternative_name(row)}: {tamed(row.get('why', ''))}"
 
 
-def untestable_rows(document: Mapping[str, Any]) -> list[tuple[str, str, str]]:
+def untestable_rows(document: Document) -> list[tuple[str, str, str]]:
     """Return what a diagnosis cannot test as (effects, why, experiment), effects of one reason in one row."""
     rows: dict[tuple[str, str], list[str]] = {}
     for row in document.get("not_testable") or []:
@@ -210,7 +210,7 @@ def _untestable(row: tuple[str, str, str]) -> str:
     return f"{names}: {why}".rstrip(". ") + "." + remedy.replace("..", ".")
 
 
-def _next(row: Mapping[str, object]) -> str:
+def _next(row: Document) -> str:
     minutes, separation = row.get("minutes"), row.get("separation")
     took = f" ({minutes:g} min)" if isinstance(minutes, (int, float)) and minutes else ""  # no recording takes none
     apart = f", expected separation {separation:.3g} (chi², simulated)" if isinstance(separation, (int, float)) else ""
@@ -219,7 +219,7 @@ def _next(row: Mapping[str, object]) -> str:
     return f"{row.get('block', '?')}{took}{': settles ' + named if named else ''}{apart}"
 
 
-def _unexplained_lines(left: Mapping[str, object], unit: str) -> list[str]:
+def _unexplained_lines(left: Document, unit: str) -> list[str]:
     if not left:
         return []
     chi, r2 = left.get("chi2_per_n"), left.get("blocked_r2")

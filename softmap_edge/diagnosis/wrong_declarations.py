@@ -14,15 +14,16 @@ tests/diagnosis/test_wrongly_declared.py.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import product
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from softmap_edge.diagnosis.record import Record
 from softmap_edge.diagnosis.records import record_of
+from softmap_edge.files.atomic import Document
 
 if TYPE_CHECKING:
     from softmap_edge.run.run import Run
@@ -35,7 +36,7 @@ WORSE = 0.8  # of the held-out error that other signs must leave at most
 SIGNS = tuple(signs for signs in product((1.0, -1.0), repeat=3) if min(signs) < 0)
 
 
-def strange(document: Mapping[str, Any], loaded: bool = False) -> bool:
+def strange(document: Document, loaded: bool = False) -> bool:
     """Return whether gravity is implausible in a diagnosis; runs may declare a load or not.
 
     It is implausible if its numbers end at their bounds, or if the unexplained error depends on the orientation. It is

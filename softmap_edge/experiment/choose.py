@@ -20,7 +20,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from softmap_edge.diagnosis.document import Diagnosis
 from softmap_edge.diagnosis.evidence import DETECTABLE
@@ -28,6 +28,7 @@ from softmap_edge.diagnosis.separate import separating
 from softmap_edge.errors import SoftmapError
 from softmap_edge.experiment.blocks import Block, plan
 from softmap_edge.experiment.simulate import OpenQuestion, Outcomes
+from softmap_edge.files.atomic import Document
 from softmap_edge.run.protocol import Limits, Protocol
 from softmap_edge.run.run import Run
 
@@ -56,7 +57,7 @@ class Experiment:
     answers: tuple[tuple[OpenQuestion, float], ...] = ()
     alone: str = ""  # why its run is to be diagnosed without the earlier ones, if so
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> Document:
         """Return an entry of `next`: `{block, minutes, settles, separation}`."""
         return {
             "block": self.block,

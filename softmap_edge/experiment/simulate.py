@@ -28,6 +28,7 @@ from softmap_edge.diagnosis.records import record_of
 from softmap_edge.diagnosis.separate import families_of
 from softmap_edge.errors import SoftmapError
 from softmap_edge.experiment.blocks import BLOCKS, Block, Setting, plan
+from softmap_edge.files.atomic import Document
 from softmap_edge.model.effect_info import Registry, registry
 from softmap_edge.noise.noise_model import FLOOR, Noise
 from softmap_edge.run.protocol import Limits, Protocol
@@ -361,7 +362,7 @@ def _blank(model: Model, made: Protocol, like: Run | None, setting: Setting) -> 
     warm = made.temperature
     if warm is None and like is not None and like.temperature is not None:
         warm = np.full(made.t.size, setting.temperature)
-    seen: dict[str, Any] = {"vertices": np.repeat(model.rest[None], made.frames, axis=0)}
+    seen: Document = {"vertices": np.repeat(model.rest[None], made.frames, axis=0)}
     if model.markers or (like is not None and like.markers is not None):
         rest = model.rest if like is None or like.marker_rest is None else like.marker_rest
         seen = {"markers": np.repeat(rest[None], made.frames, axis=0), "marker_rest": rest}

@@ -6,10 +6,9 @@ The base frame has its origin at the centre of the clamped base and z to the tip
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +28,7 @@ from softmap_edge.fem.numbers import (
     sequence,
     shown,
 )
+from softmap_edge.files.atomic import Document
 from softmap_edge.files.toml import quoted
 
 Floats = NDArray[np.float64]
@@ -201,7 +201,7 @@ class Meshed:
 Solid = Tapered | Block | Meshed
 
 
-def solid_from(document: Mapping[str, Any], folder: Path) -> Solid:
+def solid_from(document: Document, folder: Path) -> Solid:
     """Return the solid of a file; `folder` is where names of other files start. Raises FingerError."""
     given = [key for key in _KEYS if key in document]
     mesh = document.get("mesh")

@@ -29,6 +29,7 @@ from softmap_edge.fem.numbers import (
     shown,
 )
 from softmap_edge.fem.tendons import Region, Tendon, check_commands, region_from, tendon_from, unit_of
+from softmap_edge.files.atomic import Document
 from softmap_edge.files.toml import quoted
 
 __all__ = ["Finger", "Region", "Tendon"]
@@ -213,7 +214,7 @@ _RANGES = [
 ]
 
 
-def _from_document(document: Mapping[str, Any], folder: Path) -> Finger:
+def _from_document(document: Document, folder: Path) -> Finger:
     needed, optional = ("name", "material", "mounting"), ("profile_mm", "block", "mesh", "cable", "fit", "template")
     check_keys("", document, needed, (*optional, "region", "tendon", "command"))
     solid = solid_from(document, folder)
@@ -245,7 +246,7 @@ def _from_document(document: Mapping[str, Any], folder: Path) -> Finger:
 
 def _table(
     document: Mapping[str, object], name: str, keys: tuple[str, ...], optional: tuple[str, ...] = ()
-) -> Mapping[str, Any]:
+) -> Document:
     table = document.get(name)
     if not isinstance(table, dict):
         raise FingerError(f"{name}: expected a table [{name}] with {names(keys)}")
@@ -253,7 +254,7 @@ def _table(
     return table
 
 
-def _tables(document: Mapping[str, object], name: str) -> list[Mapping[str, Any]]:
+def _tables(document: Mapping[str, object], name: str) -> list[Document]:
     tables = document.get(name, [])
     if not isinstance(tables, list) or not all(isinstance(table, dict) for table in tables):
         raise FingerError(f"{name}: expected tables [[{name}]]; compare with the built-in finger's file")

@@ -20,7 +20,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +28,7 @@ from softmap_edge import _core
 from softmap_edge.errors import RunError, SoftmapError
 from softmap_edge.fem.finger import Finger
 from softmap_edge.fem.simulator import Simulator, tour
+from softmap_edge.files.atomic import Document
 from softmap_edge.geometry.rigid import RigidPose, rotation
 from softmap_edge.geometry.sections import attach, marker_features, section_features, seen_residual, upright
 from softmap_edge.run.conditions import conditions
@@ -77,10 +77,10 @@ class FingerFit:
     frame_fitted_mm: float | None
     finger_fitted_mm: float | None
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> Document:
         """Return the document softmap.refit-finger/1."""
 
-        def rows(numbers: dict[str, FingerNumber]) -> dict[str, dict[str, Any]]:
+        def rows(numbers: dict[str, FingerNumber]) -> dict[str, Document]:
             return {name: {k: v for k, v in vars(n).items() if k != "note" or v} for name, n in numbers.items()}
 
         return {

@@ -14,6 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from softmap_edge.files.atomic import Document
+
 KINDS = ("tetra", "tetra10")
 MOST_GROUPS, LEAST_CELLS = 64, 3  # in one array of labels, and cells a group on average; else they number the cells
 _HEAD = 4096  # bytes from which a kind of file is recognised
@@ -52,7 +54,7 @@ def kind_of(path: Path) -> str:
     raise ValueError("is not a known mesh" if text else "is empty")
 
 
-def parse(path: str, kind: str) -> dict[str, Any]:
+def parse(path: str, kind: str) -> Document:
     """Return `points` (n, 3), `cells` by kind, the names of all `types` of cells, and `groups` by name: (E,) of cells.
 
     Runs in a child process: any error may come out of it.

@@ -10,13 +10,13 @@ import json
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.errors import FingerError, brief
 from softmap_edge.fem.foreign_mesh import kind_of, parse
+from softmap_edge.files.atomic import Document
 from softmap_edge.files.child import ChildFault, in_child
 
 _MOST_BYTES = 64 << 20  # of a mesh file; 60 000 tetrahedra take 4 MB
@@ -106,7 +106,7 @@ def _check(path: Path, most: int, what: str) -> None:
         raise FingerError(f"{path}: {size} bytes, at most {most} are read as {what}")
 
 
-def _parsed(path: Path) -> dict[str, Any]:
+def _parsed(path: Path) -> Document:
     """Return what `parse` found in a child process; any failure of a foreign parser means the same here."""
     try:
         import meshio  # noqa: F401  # here, so that the child has it
@@ -120,7 +120,7 @@ def _parsed(path: Path) -> dict[str, Any]:
         ) from None
     try:
         seconds = _SECONDS + path.stat().st_size / _PER_SECOND
-        parsed: dict[str, Any] = in_child(parse, str(path), kind, megabytes=_MEGABYTES, seconds=seconds)
+        parsed: Document = in_child(parse, str(path), kind, megabytes=_MEGABYTES, seconds=seconds)
     except ChildFault as error:
         raise FingerError(f"{path}: cannot be read as {_KINDS[kind]} ({brief(error)}); export it again") from None
     return parsed

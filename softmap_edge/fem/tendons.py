@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from math import cos, inf, radians, sin
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -27,6 +26,7 @@ from softmap_edge.fem.numbers import (
     rows,
     shown,
 )
+from softmap_edge.files.atomic import Document
 from softmap_edge.files.toml import quoted
 
 Formula = tuple[float, float, list[tuple[float, float]]]
@@ -198,7 +198,7 @@ def check_commands(
             )
 
 
-def tendon_from(table: Mapping[str, Any], solid: Solid, folder: Path) -> Tendon:
+def tendon_from(table: Document, solid: Solid, folder: Path) -> Tendon:
     """Return the tendon of a table; a file of guides is read in the frame of the mesh file. Raises FingerError."""
     if "points_file" in table:
         check_keys("tendon", table, ("points_file",))
@@ -213,7 +213,7 @@ def tendon_from(table: Mapping[str, Any], solid: Solid, folder: Path) -> Tendon:
     return Tendon(table["angle_deg"], rows("route_mm", table["route_mm"]), table.get("turn_deg", 0.0))
 
 
-def region_from(table: Mapping[str, Any]) -> Region:
+def region_from(table: Document) -> Region:
     """Return the region of a table. Raises FingerError."""
     check_keys("region", table, ("young_mpa",), ("x_mm", "y_mm", "z_mm", "side_deg", "name"))
     limits = {axis: rows("region", [table[f"{axis}_mm"]])[0] for axis in "xyz" if f"{axis}_mm" in table}

@@ -7,8 +7,11 @@ import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 from softmap_edge.errors import SoftmapError
+
+Document = dict[str, Any]  # what a JSON or TOML file holds; inside, data have types of their own
 
 MOST_TEXT = 64 << 20  # bytes of a document
 

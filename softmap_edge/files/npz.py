@@ -7,7 +7,7 @@ import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Any, Literal
+from typing import IO, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -118,7 +118,7 @@ class ArrayHeader:
 
     shape: tuple[int, ...]
     fortran: bool
-    dtype: np.dtype[Any]
+    dtype: np.dtype[np.generic]
 
     @property
     def bytes(self) -> int:
@@ -144,7 +144,7 @@ def array_header(stream: IO[bytes]) -> ArrayHeader:
 
 def packed(
     name: str, values: NDArray[np.float64], step: NDArray[np.float64] | float, kind: type
-) -> dict[str, NDArray[Any]]:
+) -> dict[str, NDArray[np.generic]]:
     """Return `values` as whole numbers of steps under `name`, and the steps under `name_step`.
 
     `step` is one number or broadcasts to the values; it is widened where values would not fit into `kind` (np.int8 or

@@ -24,7 +24,7 @@ from softmap_edge.errors import RunError
 from softmap_edge.files.time_digits import differing
 from softmap_edge.logs.readers.columns import Array, Cells
 from softmap_edge.logs.rising import longest_rise
-from softmap_edge.logs.set_clock import Jump, both, set_back, set_forward, usual_step
+from softmap_edge.logs.set_clock import Jump, both, returns, set_back, set_forward, usual_step
 from softmap_edge.logs.time_keys import TIME, Clock
 from softmap_edge.logs.time_text import DAY, HOUR
 
@@ -194,15 +194,9 @@ def find_jump(t: Array, clock: Clock) -> Jump | None:
         if clocklike and (t.min() < 0 or period - t.max() > slowest or t[rows].max() > slowest):
             continue
         return Jump(rows, -size, period, words)
-    if len(rows) == 1 and size[0] > 3 * usual and not _returns(step, int(rows[0]), float(size[0])):
+    if len(rows) == 1 and size[0] > 3 * usual and not returns(step, int(rows[0]), float(size[0])):
         return Jump(rows, -size, None)
     return None
-
-
-def _returns(step: Array, row: int, size: float) -> bool:
-    """Whether a fall of `size` at a row is undone by the step next to it: one stray time, such as a stamp of 0."""
-    near = [step[k] for k in (row - 2, row) if 0 <= k < len(step)]
-    return bool(near) and max(near) > 0.5 * size
 
 
 def _periods(clock: Clock) -> list[tuple[float, str, bool]]:

@@ -83,7 +83,7 @@ def seen(
         _flatten(fields, mapping, notes)
     fields["marker_labels"] = np.array(log.markers.labels)
     if log.base is not None:
-        fields["base_markers"] = mapping.to_base(_points(table, log.base, doubts))
+        fields["base_markers"] = mapping.to_base(_points(table, log.base, doubts, "base"))
         if PLANE in fields:
             fields["base_markers"][..., AXES.index(str(fields[PLANE]))] = 0.0
     if log.block is not None:
@@ -199,14 +199,14 @@ def _few(lines: list[str]) -> list[str]:
 
 
 @np.errstate(invalid="ignore")  # a signalling NaN of a damaged file is a NaN like others
-def _points(table: LogTable, quantity: Quantity, doubts: list[str]) -> Array:
-    """Points (K, M, 3) mm in the log's frame."""
+def _points(table: LogTable, quantity: Quantity, doubts: list[str], name: str = "markers") -> Array:
+    """Points (K, M, 3) mm in the log's frame; `name` is their key in the mapping."""
     stated = table.unit(quantity.columns[0])
     stated = stated if stated in LENGTH else None
     unit = (stated or "mm") if quantity.unit == FILE else quantity.unit
     if stated is not None and stated != unit:
         doubts.append(
-            f'markers: the file says {stated}, the mapping {unit} and is followed; set unit = "file" if it is wrong'
+            f'{name}: the file says {stated}, the mapping {unit} and is followed; set unit = "file" if it is wrong'
         )
     raw = table.numbers(quantity.columns)
     raw *= LENGTH[unit]
@@ -215,7 +215,7 @@ def _points(table: LogTable, quantity: Quantity, doubts: list[str]) -> Array:
     points = raw.reshape(len(raw), -1, quantity.axes)
     if quantity.axes < 3:  # a plane: the third coordinate is not measured
         points = np.concatenate([points, np.zeros((*points.shape[:2], 1))], axis=2)
-    doubts += doubts_of_points(points, unit)
+    doubts += doubts_of_points(points, unit, name)
     return points
 
 

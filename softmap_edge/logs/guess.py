@@ -94,7 +94,7 @@ def guess_mapping(paths: Sequence[str | os.PathLike[str]]) -> Guess:
         if time.unit == "rows":
             what = f"how fast '{time.columns[0]}' counts" if time.columns else "how fast rows were logged"
             found.unknown.append(f"{what} in {_called(sheet)}: {RATE_HZ} Hz is written; put the rate of the log there")
-        elif not time.columns:
+        elif time.unit == "none":
             found.unknown.append(
                 f'how fast rows were logged in {_called(sheet)}: time = "none" is written, and nothing about rates or '
                 "delays can be learned; write time = { rate_hz = … } if you know the rate"

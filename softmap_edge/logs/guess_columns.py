@@ -26,6 +26,7 @@ from softmap_edge.logs.readers.kinds import RECORDINGS
 from softmap_edge.logs.readers.mcap_file import Topic
 from softmap_edge.logs.readers.paced import PacedColumns
 from softmap_edge.logs.readers.parquet_log import EPISODE, open_parquet
+from softmap_edge.logs.readers.stated_rate import stated_rate
 from softmap_edge.logs.readers.text import TextColumns
 from softmap_edge.logs.readers.unit_cells import refuse_unit_cells
 from softmap_edge.logs.sources import Part, called, groups_of, open_recording, parts_of, pattern_of, topics_of
@@ -79,6 +80,7 @@ class Sheet:
     below: list[str] = field(default_factory=list)  # lines below the table
     clocks: dict[str, str] = field(default_factory=dict)  # columns of dates or times, in s, and their form
     head_line: int | None = None  # the number of the line of a text log that names the columns
+    rate_hz: float | None = None  # of its rows, as the lines above the table state it
     parts: int = 1  # files of the log
     more: tuple[str, ...] = ()  # the `file` of further parts that no common pattern names
 
@@ -186,6 +188,7 @@ def _sheet(part: Part, columns: Columns, which: list[int]) -> Sheet:
     return Sheet(
         part.given, None, names, dict(columns.units), numbers, texts, header, bare, file=file, indexed=arrays,
         episode=episode, clocks=clocks, below=below, head_line=getattr(columns, "head_line", None),
+        rate_hz=stated_rate(columns.head) if isinstance(columns, TextColumns) else None,
     )  # fmt: skip
 
 

@@ -1,7 +1,7 @@
 """Propose how to read a column of time that falls in some rows, and state what is doubtful about it.
 
-A roll-over shows the unit: a counter of 2^32 counts is no time since 1970. A single step is taken out by `jumps =
-"mend"`. Other falls are left out by `repeated = "drop"` where enough rows remain.
+A roll-over shows the unit: a counter of 2^32 counts is no time since 1970. Steps of a clock that was set are taken out
+by `jumps = "mend"`. Other falls are left out by `repeated = "drop"` where enough rows remain.
 
 Pinned by tests/logs/test_guess_falls.py.
 """
@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from softmap_edge.files.printable import listed
 from softmap_edge.logs.clock import increasing
 from softmap_edge.logs.set_clock import Jump, usual_step
 from softmap_edge.logs.time_keys import TIME
@@ -20,6 +21,7 @@ from softmap_edge.logs.time_keys import TIME
 Array = NDArray[np.float64]
 _LOST = 0.3  # of the rows: more, and leaving them out does not read the log
 _SAME = 3.0  # usual steps: times so near are the same start
+_LISTED = 5  # steps that are named
 _BITS = (16, 24, 32)
 _NEAR = 9.0  # usual steps: how near to its period a counter rolls over
 
@@ -46,21 +48,26 @@ def treatment(t: Array, jump: Jump | None, name: str) -> Treatment:
 
     Args:
         t: (rows,) s, finite.
-        jump: the one step that explains the falls; None if none does.
+        jump: the steps of a clock that was set, which explain the falls; None if they do not.
         name: of the column.
     """
     rows = np.flatnonzero(np.diff(t) < 0) + 1
     first, largest = int(rows[0]), float(-np.diff(t).min())
     cut = f"or import the log in parts with to_row = {first - 1} and from_row = {first}"
-    if jump is not None and _starts_again(t, first):
-        doubt = f"'{name}' starts again at row {first}, as in a second recording: {cut.removeprefix('or ')}"
-        return Treatment([], f"rises, but starts again at row {first}", doubt, _without_step(t, first))
+    again = next((int(row) for row in rows if _starts_again(t, int(row))), None)
+    if jump is not None and again is not None:
+        cut = f"import the log in parts with to_row = {again - 1} and from_row = {again}"
+        doubt = f"'{name}' starts again at row {again}, as in a second recording: {cut}"
+        return Treatment([], f"rises, but starts again at row {again}", doubt, _without_steps(t, rows))
     if jump is not None:
+        steps = listed((f"by {-np.diff(t)[row - 1]:.6g} s at row {row}" for row in rows), _LISTED)
+        which = f"the step at row {first}" if len(rows) == 1 else f"{len(rows)} steps"
         doubt = (
-            f"whether the clock '{name}' was set back by {largest:.6g} s at row {first}: jumps = \"mend\" takes the "
-            f"step out as if no time had passed; {cut}"
+            f"whether the clock '{name}' was set back {steps}: jumps = \"mend\" takes {which} out as if no time had "
+            f"passed; {cut}"
         )
-        return Treatment(['jumps = "mend"'], f"rises, but for a step at row {first}", doubt, _without_step(t, first))
+        moves = f"rises, but for {'a step' if len(rows) == 1 else which} at row {first}{' and later' * (len(rows) > 1)}"
+        return Treatment(['jumps = "mend"'], moves, doubt, _without_steps(t, rows))
     lost = int((~increasing(t)).sum())
     moves = f"rises, but falls in {len(rows)} of {len(t)} rows (first at row {first}, by up to {largest:.6g} s)"
     drops = f'repeated = "drop" leaves out {lost} of {len(t)} rows'
@@ -78,9 +85,10 @@ def _starts_again(t: Array, row: int) -> bool:
     return bool(abs(t[row] - t[0]) <= near or abs(t[row]) <= near)
 
 
-def _without_step(t: Array, row: int) -> Array:
-    later = np.arange(len(t)) >= row
-    return np.asarray(t + later * (usual_step(t) - (t[row] - t[row - 1])))
+def _without_steps(t: Array, rows: NDArray[np.int64]) -> Array:
+    moved = np.zeros(len(t))
+    moved[rows] = usual_step(t) - np.diff(t)[rows - 1]
+    return np.asarray(t + np.cumsum(moved))
 
 
 def counts_of_roll(values: Array, usual: float) -> tuple[str, str] | None:

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from softmap_edge.logs.clock import counting_on, find_jump
+from softmap_edge.logs.clock import counting_on, find_jump, find_steps
 from softmap_edge.logs.guess_columns import Sheet, last_of, unit_in_name
 from softmap_edge.logs.guess_falls import counts_of_roll, treatment
 from softmap_edge.logs.readers.cells import is_value
@@ -44,7 +44,7 @@ class TimeFound:
 
     Attributes:
         columns: its columns; empty if only the rows count.
-        unit: of the first column: of `TIME`, `rows` for a counter, or `none`.
+        unit: of the first column: of `TIME`, `rows` for a counter, `stated` at a rate that the file states, or `none`.
         why: the reason, as a part of a sentence.
         line: the proposed `time` of the mapping.
         seconds: (rows,) s.
@@ -80,6 +80,9 @@ def time_of(sheet: Sheet, alone: bool = True) -> TimeFound:
     if unread is not None and unread[2]:
         line = f"time = {{ column = {cell(sheet, unread[0])} }}   # UNKNOWN: it {unread[1]}"
         return TimeFound((unread[0],), "s", why, line, rows)
+    if sheet.rate_hz is not None and sheet.topic is None:
+        why = f"{why}; the lines above the table state {sheet.rate_hz:g} Hz"
+        return TimeFound((), "stated", why, f"time = {{ rate_hz = {sheet.rate_hz:g} }}", rows / sheet.rate_hz)
     if alone:
         line = f'time = "{NO_TIME}"   # UNKNOWN: {{ rate_hz = … }} if you know the rate of the log'
         return TimeFound((), "none", f"{why}: only the order of the rows is known", line, rows * ROW_S)
@@ -191,8 +194,13 @@ def _of_column(sheet: Sheet, name: str) -> TimeFound:
         f" '{name}'" if sheet.header else "" if first else f"column {name}"
     )
     t, known = values * seconds, _known(sheet, name)
-    jump = find_jump(known * seconds, Clock(name, seconds))
+    others = np.delete(sheet.numbers, sheet.names.index(name), axis=1)[np.isfinite(values)]
+    jump = find_steps(known * seconds, others, Clock(name, seconds))
     keys = [f"column = {cell(sheet, name)}"]
+    if unit == "rows" and sheet.rate_hz is not None:
+        line = f"time = {{ {keys[0]}, rate_hz = {sheet.rate_hz:g} }}   # it counts rows"
+        stated = f"the lines above the table state {sheet.rate_hz:g} Hz"
+        return TimeFound((name,), "stated", f"{called.strip()} rises throughout and counts rows; {stated}", line, t)
     if unit == "rows":
         line = f"time = {{ {keys[0]}, rate_hz = {RATE_HZ}, assumed = true }}   # it counts rows; UNKNOWN: their rate"
         return TimeFound((name,), "rows", f"{called.strip()} rises throughout; {why}", line, t)
@@ -226,7 +234,7 @@ def _scale(sheet: Sheet, name: str) -> tuple[float, tuple[str, str]]:
         what = "times of day" if sheet.clocks[name] == "day" else "dates"
         return 1.0, ("s", f"it holds {what}, read as seconds")
     unit, why = _unit(sheet, name)
-    return (1.0 / RATE_HZ if unit == "rows" else TIME[unit]), (unit, why)
+    return (1.0 / (sheet.rate_hz or RATE_HZ) if unit == "rows" else TIME[unit]), (unit, why)
 
 
 def _unit(sheet: Sheet, name: str) -> tuple[str, str]:

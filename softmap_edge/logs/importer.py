@@ -126,7 +126,7 @@ def _spool(mapping: Mapping) -> dict[str, Array]:
     return {SPOOL_RADIUS: np.array(radii.pop())} if known else {}
 
 
-def _looked_for(mapping: Mapping, fields: dict[str, Any]) -> dict[str, NDArray[Any]]:
+def _looked_for(mapping: Mapping, fields: dict[str, Any]) -> dict[str, NDArray[np.generic]]:
     """Return the field that marks the search for places that stand for "not seen" as done, or as switched off."""
     if "markers" not in fields:
         return {}

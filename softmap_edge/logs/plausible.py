@@ -89,21 +89,21 @@ def doubts_of_both(fields: dict[str, Any]) -> list[str]:
     return []
 
 
-def doubts_of_points(points: Array, unit: str) -> list[str]:
-    """Say whether points (K, M, 3), converted to mm from `unit`, are no robot's size."""
+def doubts_of_points(points: Array, unit: str, name: str = "markers") -> list[str]:
+    """Say whether points (K, M, 3) of a key `name`, converted to mm from `unit`, are no robot's size."""
     sample = points[:: max(1, len(points) // _SAMPLE)].reshape(-1, 3)
     sample = sample[np.isfinite(sample).all(axis=1)]
     if len(sample) < 2:
         return []
     span = float(np.ptp(sample, axis=0).max())
-    if points.shape[1] == 1:  # a single marker may stand still
+    if points.shape[1] == 1 or name == "base":  # a single marker may stand still, and a base does
         span = max(span, float(np.abs(sample).max()))
     if ROBOT[0] <= span <= ROBOT[1] or span == 0.0:
         return []
     guess = _length(span / LENGTH[unit], "robot")
     if guess is None or guess == unit:
-        return [f'markers: span {span:.4g} mm with unit = "{unit}", no size of a robot: check columns, unit and scale']
-    return [f'markers: span {span:.4g} mm with unit = "{unit}", which looks like {guess}: set unit = "{guess}"']
+        return [f'{name}: span {span:.4g} mm with unit = "{unit}", no size of a robot: check columns, unit and scale']
+    return [f'{name}: span {span:.4g} mm with unit = "{unit}", which looks like {guess}: set unit = "{guess}"']
 
 
 def _length(number: float, what: str) -> str | None:

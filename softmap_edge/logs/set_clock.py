@@ -60,7 +60,7 @@ def set_back(t: Array, values: Array) -> Jump | None:
     usual = usual_step(t)
     if not all(-step[k - 1] > LONG * usual and not _soon_reached(t, int(k), usual) for k in rows):
         return None
-    if any(goes_on(values, int(k)) is False for k in rows):
+    if any(returns(step, int(k), float(-step[k - 1])) or goes_on(values, int(k)) is False for k in rows):
         return None
     return Jump(rows, step[rows - 1], None)
 
@@ -93,6 +93,12 @@ def _soon_reached(t: Array, row: int, usual: float) -> bool:
     """Return whether the time before a fall is reached again much sooner than at the usual step."""
     later = np.flatnonzero(t[row:] > t[row - 1])
     return bool(len(later) and later[0] < min(0.5 * (t[row - 1] - t[row]) / usual, NEAR))
+
+
+def returns(step: Array, row: int, size: float) -> bool:
+    """Whether a fall of `size` at a row is undone by the step next to it: one stray time, such as a stamp of 0."""
+    near = [step[k] for k in (row - 2, row) if 0 <= k < len(step)]
+    return bool(near) and max(near) > 0.5 * size
 
 
 def goes_on(values: Array, row: int) -> bool | None:

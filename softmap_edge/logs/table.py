@@ -55,7 +55,7 @@ class LogTable:
     names: list[str]
     units: dict[str, str]
     values: dict[int, Array]
-    labels: NDArray[Any] | None
+    labels: NDArray[np.generic] | None
     notes: tuple[str, ...]
     doubts: tuple[str, ...] = ()
 
@@ -63,7 +63,7 @@ class LogTable:
         """Return (rows, len(columns)); absent cells are NaN."""
         return np.stack([self.values[place(self.path, self.names, column)] for column in columns], axis=1)
 
-    def texts(self) -> NDArray[Any]:
+    def texts(self) -> NDArray[np.generic]:
         """Return the (rows,) labels."""
         assert self.labels is not None
         return self.labels

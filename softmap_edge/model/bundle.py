@@ -39,7 +39,7 @@ import numpy as np
 
 from softmap_edge import _core
 from softmap_edge.errors import BundleError, CalibrationError, SoftmapError, brief
-from softmap_edge.files.atomic import MOST_TEXT
+from softmap_edge.files.atomic import MOST_TEXT, Document
 from softmap_edge.files.npz import read_npz, write_npz
 from softmap_edge.model.manifest import (
     LARGEST,
@@ -241,18 +241,18 @@ def _allow(file: Path, name: str, digest: str, trust: Trust | None) -> None:
         )
 
 
-def _named(manifest: dict[str, Any]) -> list[str]:
+def _named(manifest: Document) -> list[str]:
     """Return which of the files that a bundle may have its manifest names."""
     return [name for name in _PERHAPS if name in manifest["sha256"]]
 
 
-def _arrays(folder: Path, manifest: dict[str, Any], trusted: Trust) -> tuple[dict[str, Arrays], dict[str, Any]]:
+def _arrays(folder: Path, manifest: Document, trusted: Trust) -> tuple[dict[str, Arrays], Document]:
     """Read the archives of a bundle, and what is said of graphs that became tables of it.
 
     Only finite numbers of a plausible size, which also keeps overflow out later.
     """
     learned = _named(manifest)
-    foreign: dict[str, Any] = {}
+    foreign: Document = {}
     files = ["prior.npz", "fields.npz", "template.npz", *(name for name in learned if name.endswith(".npz"))]
     arrays = {file.removesuffix(".npz"): read_npz(folder / file, BundleError, _MAX_BYTES) for file in files}
     for name, group in arrays.items():
@@ -279,7 +279,7 @@ def _arrays(folder: Path, manifest: dict[str, Any], trusted: Trust) -> tuple[dic
     return arrays, foreign
 
 
-def _model(folder: Path, manifest: dict[str, Any], trusted: Trust) -> Model:
+def _model(folder: Path, manifest: Document, trusted: Trust) -> Model:
     arrays, foreign = _arrays(folder, manifest, trusted)
     template = template_from(folder.name, arrays["template"])
     if manifest["kind"] != "rod":
@@ -345,7 +345,7 @@ def _model(folder: Path, manifest: dict[str, Any], trusted: Trust) -> Model:
     return replace(model.with_residual(arrays["residual"]), made_from=made_from)
 
 
-def _calibration(folder: Path, manifest: dict[str, Any]) -> Calibration | None:
+def _calibration(folder: Path, manifest: Document) -> Calibration | None:
     """Read what the ticks of the servos are, if the manifest names it."""
     if "calibration.json" not in _named(manifest):
         return None
@@ -358,7 +358,7 @@ def _calibration(folder: Path, manifest: dict[str, Any]) -> Calibration | None:
     return found
 
 
-def _safety(folder: Path, manifest: dict[str, Any]) -> Safety | None:
+def _safety(folder: Path, manifest: Document) -> Safety | None:
     """Read what the finger may be asked, if the manifest names it."""
     if SAFETY not in _named(manifest):
         return None
@@ -387,11 +387,11 @@ def load_chain(path: str | Path) -> tuple[list[str], dict[str, float]]:
     return names, params
 
 
-def _own_hashes(manifest: dict[str, Any]) -> dict[str, str]:
+def _own_hashes(manifest: Document) -> dict[str, str]:
     return {f"{name}.py": digest for name, digest in manifest.get("own_effects", {}).items()}
 
 
-def _made_from(manifest: dict[str, Any]) -> dict[str, Any]:
+def _made_from(manifest: Document) -> Document:
     made = manifest.get("made_from", {})
     if made.get("learned_in") is not None:
         from softmap_edge.model.learned_in import read_learned_in

@@ -10,9 +10,10 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
-from typing import Any, Literal, get_args
+from typing import Literal, get_args
 
 from softmap_edge.errors import SoftmapError
+from softmap_edge.files.atomic import Document
 
 Law = Literal["identified", "ambiguous", "open", "unknown"]
 MOST = 32  # records, numbers or alternatives in a list
@@ -77,7 +78,7 @@ class LearnedIn:
             lines.append(f"  alternatives: {', '.join(map(str, self.alternatives))}")
         return "\n".join(lines)
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> Document:
         """Return the record as a manifest holds it."""
         return asdict(self)
 
@@ -109,7 +110,7 @@ def read_learned_in(document: object) -> tuple[LearnedIn, ...]:
     return tuple(LearnedIn.from_dict(part) for part in document)
 
 
-def _checked(kind: type, document: object) -> dict[str, Any]:
+def _checked(kind: type, document: object) -> Document:
     """Return the values of a table whose keys are the fields of `kind`, each of its declared type."""
     declared = {field.name: str(field.type) for field in fields(kind)}
     if not isinstance(document, Mapping) or set(document) != set(declared):

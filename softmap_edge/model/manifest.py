@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from softmap_edge.errors import BundleError, brief
+from softmap_edge.files.atomic import Document
 
 # 2: scattered families, bodies without a mesh; 3: own effects, fields of a design, steps; 4: a residual; 5: networks;
 # 6: a calibration, handles; 7: limits (safety.toml); 8: outputs that are no places
@@ -32,7 +33,7 @@ def check_within(file: Path) -> None:
         )
 
 
-def load_manifest(path: str | Path) -> dict[str, Any]:
+def load_manifest(path: str | Path) -> Document:
     """Read and check `manifest.json` of a bundle folder."""
     file = Path(path) / "manifest.json"
     if not file.is_file():
@@ -77,7 +78,7 @@ def load_manifest(path: str | Path) -> dict[str, Any]:
     return manifest
 
 
-def _require(manifest: dict[str, Any], key: str, fits: Callable[[object], bool], what: str) -> None:
+def _require(manifest: Document, key: str, fits: Callable[[object], bool], what: str) -> None:
     if key not in manifest or not fits(manifest[key]):
         raise BundleError(
             f"manifest.json: '{key}' is {manifest.get(key)!r:.80}, expected {what}; build or copy it again"
@@ -121,7 +122,7 @@ def _floats(value: object, length: int) -> bool:
     return isinstance(value, list) and len(value) == length and all(finite_number(v) for v in value)
 
 
-def read_json(file: Path) -> dict[str, Any]:
+def read_json(file: Path) -> Document:
     if file.stat().st_size > 16 << 20:
         raise BundleError(f"{file.name}: {file.stat().st_size} bytes, at most 16 MiB are read")
     try:

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from softmap_edge import _core
 from softmap_edge.errors import SoftmapError
+from softmap_edge.files.atomic import Document
 from softmap_edge.geometry.sections import FeatureMap
 from softmap_edge.model import views
 from softmap_edge.model.chain_labels import named, readings, spread, valued
@@ -63,7 +64,7 @@ class Model:
     input: str = "present"
     chain_names: tuple[str, ...] = ()
     chain_params: Floats = field(default_factory=lambda: np.zeros(0))
-    made_from: Mapping[str, Any] = field(default_factory=dict)
+    made_from: Document = field(default_factory=dict)
     error_per_g_mm: float = 0.0  # by which its own error grows for each g away from the reference
     arrays: Mapping[str, Arrays] = field(default_factory=dict, repr=False)
     calibration: Calibration | None = None  # of the servos: what a run's ticks are in commands

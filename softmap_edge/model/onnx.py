@@ -18,18 +18,18 @@ import hashlib
 from collections.abc import Callable, Mapping, Sequence
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge import _core
 from softmap_edge.errors import BundleError, SoftmapError, brief
+from softmap_edge.files.atomic import Document
 from softmap_edge.files.child import ChildFault, in_child
 from softmap_edge.model.manifest import MAX_ONNX_BYTES
 
 Floats = NDArray[np.float64]
-Arrays = dict[str, NDArray[Any]]
+Arrays = dict[str, NDArray[np.generic]]
 
 BATCH = 64  # commands that onnxruntime is given at a time, so that a wide graph needs little memory
 CHILD_MB, CHILD_S = 1000, 60.0  # limits of onnxruntime in a child process
@@ -45,7 +45,7 @@ NODES = {1: 201, 2: 61, 3: 21}  # of a table, by channels; of smooth networks 0.
 
 def read_network(
     file: Path, command_range: Floats, prior: Mapping[str, object], trusted: Callable[[Path, str], bool]
-) -> tuple[Arrays, dict[str, Any] | None]:
+) -> tuple[Arrays, Document | None]:
     """Read an ONNX file: the arrays of its shape, and a description if only onnxruntime can read it.
 
     One that training wrote stays a network (`onnx`); another becomes a table.
@@ -108,7 +108,7 @@ def compare_with_onnxruntime(name: str, content: bytes, command_range: Floats) -
 
 def table_from_onnxruntime(
     name: str, content: bytes, command_range: Floats, prior: Mapping[str, object], why: str
-) -> tuple[Arrays, dict[str, Any]]:
+) -> tuple[Arrays, Document]:
     """Return the arrays of a table of a graph that only onnxruntime runs, and a description of it.
 
     Args:

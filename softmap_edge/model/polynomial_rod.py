@@ -9,13 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge import _core
 from softmap_edge.errors import SoftmapError
+from softmap_edge.files.atomic import Document
 from softmap_edge.model.basis import RIDGE, Basis
 from softmap_edge.model.elastic_rod import ElasticParameters
 
@@ -124,7 +124,7 @@ def compiled(weights: Weights, base: Floats, basis: Basis) -> _core.Rod:
     )  # fmt: skip
 
 
-def rod_from_arrays(arrays: Mapping[str, NDArray[np.generic]]) -> tuple[_core.Shape, dict[str, Any]]:
+def rod_from_arrays(arrays: Mapping[str, NDArray[np.generic]]) -> tuple[_core.Shape, Document]:
     """Return the compiled rod and its load fields from the arrays of `prior.npz`."""
     kind: type[ElasticParameters | RodParameters] = ElasticParameters if "numbers" in arrays else RodParameters
     parameters = kind.from_arrays(arrays)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from softmap_edge.model.structure import Structure
 
 Floats = NDArray[np.float64]
-Shape = Any  # a compiled shape: _core.Table, _core.Rod, _core.RodField
+Shape = _core.Shape
 Contact = tuple[Shape, dict[str, Shape], _core.Cables | None, _core.Second | None, list[float]]
 _OUTSIDE = 0.75  # of a station's vertices lie within its radius: a domed tip has many near its axis
 _STATION_SHARE = 0.05  # of the length to each side of a station

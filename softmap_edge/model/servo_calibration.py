@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from softmap_edge.errors import CalibrationError
+from softmap_edge.files.atomic import Document
 from softmap_edge.run.rest_command import home_command
 from softmap_edge.run.run import CALIBRATION, HOME_TICKS, Run, text_in
 
@@ -166,7 +167,7 @@ class Calibration:
         share = min(1.0, float(high / max(highest.max(), 1e-300)), float(low / min(lowest.min(), -1e-300)))
         return np.asarray(self.b[:, None] + share * away)
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> Document:
         """Return the document softmap.calibration/1, which a bundle keeps as `calibration.json`."""
         return {
             "schema": SCHEMA,

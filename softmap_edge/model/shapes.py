@@ -9,12 +9,12 @@ tests/model/test_bundle.py.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge import _core
+from softmap_edge.files.atomic import Document
 from softmap_edge.files.npz import unpacked
 
 _SHARED = ("modes", "nodes", "scale", "power")  # what the fields of one bundle have in common beside their axes
@@ -45,7 +45,7 @@ def table_from(arrays: Mapping[str, NDArray[np.generic]]) -> _core.Table:
     return family
 
 
-def fields_from(arrays: Mapping[str, NDArray[np.generic]]) -> dict[str, Any]:
+def fields_from(arrays: Mapping[str, NDArray[np.generic]]) -> Document:
     """Return the compiled fields stored as `coefficients_NAME` over shared `axis0…` or `nodes`, and `modes`."""
     arrays = unpacked(arrays)
     shared = {key: value for key, value in arrays.items() if key.startswith("axis") or key in _SHARED}

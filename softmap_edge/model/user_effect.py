@@ -30,6 +30,7 @@ from numpy.typing import NDArray
 
 from softmap_edge import _core
 from softmap_edge.errors import EffectError, brief
+from softmap_edge.files.atomic import Document
 from softmap_edge.model.effect_info import registry
 from softmap_edge.model.manifest import EFFECT_NAME, MAX_EFFECT_BYTES
 
@@ -217,13 +218,13 @@ def _execute(file: Path, source: bytes) -> ModuleType:
     return module
 
 
-def _declaration(where: str, given: object) -> dict[str, Any]:
+def _declaration(where: str, given: object) -> Document:
     """Return the declaration that a file gives, whole and of the right kinds."""
     if not isinstance(given, dict):
         raise EffectError(f"{where}: EFFECT is missing or no table; `softmap model effects new NAME` writes the form")
     known = ("name", *_TEXTS, "parameters", *_OPTIONAL)
     _keys(where, "EFFECT", given, ("name", *_TEXTS, "parameters"), known)
-    found: dict[str, Any] = _OPTIONAL | given
+    found: Document = _OPTIONAL | given
     _check_name(where, found["name"])
     for key in (*_TEXTS, "family", "reference"):
         found[key] = _text(where, key, found[key])
@@ -246,12 +247,12 @@ def _declaration(where: str, given: object) -> dict[str, Any]:
     return found
 
 
-def _parameter(where: str, given: object) -> dict[str, Any]:
+def _parameter(where: str, given: object) -> Document:
     if not isinstance(given, dict):
         raise EffectError(f"{where}: a parameter is {type(given).__name__}, expected a table with name, unit, null, …")
     wanted = ("name", "unit", *_NUMBERS, "doc")
     _keys(where, "a parameter", given, wanted, (*wanted, *_SWITCHES))
-    found: dict[str, Any] = _SWITCHES | given
+    found: Document = _SWITCHES | given
     _check_name(where, found["name"])
     label = f"parameter {found['name']}"
     found["unit"], found["doc"] = (_text(where, f"{key} of {label}", found[key]) for key in ("unit", "doc"))
@@ -310,7 +311,7 @@ def _pair(where: str, value: object) -> tuple[Any, float]:
 class _Law:
     """Ask a user's `rollout` for one record, and say in one line where it fails or gives something else."""
 
-    def __init__(self, declaration: dict[str, Any], file: Path, rollout: Callable[..., object]) -> None:
+    def __init__(self, declaration: Document, file: Path, rollout: Callable[..., object]) -> None:
         self._declaration, self._file, self._rollout = declaration, file, rollout
         self._head = f"the effect '{declaration['name']}' ({file.name})"
         self._tried: set[int] = set()

@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from softmap_edge.comparison.series import Series
 from softmap_edge.comparison.text import WHERE
 from softmap_edge.diagnosis.text import ladder_steps
+from softmap_edge.files.atomic import Document
 from softmap_edge.files.numbers import mm
 from softmap_edge.run.in_unit import PLACES
 
@@ -184,7 +185,7 @@ def where_maps(before: Mapping[str, Sequence[Any]], after: Mapping[str, Sequence
         return svg(figure)
 
 
-def ladder_bars(error: Mapping[str, object]) -> bytes:
+def ladder_bars(error: Document) -> bytes:
     """Draw the held-out error as effects are added one by one, down to the floor (SVG)."""
     steps = ladder_steps(error)
     floor = error.get("floor")

@@ -33,7 +33,7 @@ from softmap_edge.diagnosis.text import (
     untestable_rows,
 )
 from softmap_edge.errors import ReportError
-from softmap_edge.files.atomic import write_atomically
+from softmap_edge.files.atomic import Document, write_atomically
 from softmap_edge.files.numbers import fall, mm, number, percent, tamed
 from softmap_edge.report.pages import Card, Picture, pictures_missing, render
 from softmap_edge.run.in_unit import PLACES, in_unit, unit_of
@@ -56,7 +56,7 @@ class Story:
 
     before: Comparison | None
     after: Comparison | None
-    diagnosis: Mapping[str, Any] | None
+    diagnosis: Document | None
     series: Series | None
     floor: tuple[float, str] | None = None
     ways: Mapping[str, float | None] | None = None
@@ -420,7 +420,7 @@ def _where(story: Story, figures: ModuleType) -> Picture | None:
     )
 
 
-def _family(row: Mapping[str, Any], document: Mapping[str, Any]) -> ShownFamily:
+def _family(row: Document, document: Document) -> ShownFamily:
     return ShownFamily(
         line=family_line(row, findings_of(document)),
         share=row.get("share"),
@@ -430,7 +430,7 @@ def _family(row: Mapping[str, Any], document: Mapping[str, Any]) -> ShownFamily:
     )
 
 
-def _effect(row: Mapping[str, Any]) -> ShownEffect:
+def _effect(row: Document) -> ShownEffect:
     size = row.get("displacement_mm") or {}
     return ShownEffect(
         name=row.get("name", "?"),

@@ -5,9 +5,6 @@ Pinned by tests/run/test_output.py and tests/report/test_loop_figure.py. Needs m
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
-
 import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
@@ -15,6 +12,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from softmap_edge.comparison.series import Loop, Series
+from softmap_edge.files.atomic import Document
 from softmap_edge.report.figures import AFTER, BEFORE, FAINT, INK, PALE, STYLE, WIDE, clean, svg
 from softmap_edge.report.pages import Picture
 from softmap_edge.run.in_unit import PLACES
@@ -25,7 +23,7 @@ TURN = 0.2  # of the range of a command: smaller reverse moves are no cycle
 MOST_LOOPS = 6  # of a run with many outputs or commands
 
 
-def loop_picture(series: Series, unit: str, diagnosis: Mapping[str, Any] | None, kind: str) -> Picture | None:
+def loop_picture(series: Series, unit: str, diagnosis: Document | None, kind: str) -> Picture | None:
     """Return the picture of the loops: always for outputs, for a body where a family with memory was detected.
 
     Args:

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
-
 from softmap_edge.diagnosis.text import alternative_name
+from softmap_edge.files.atomic import Document
 from softmap_edge.files.numbers import folded
 
 
-def progress_lines(before: Mapping[str, object] | None, after: Mapping[str, object]) -> list[str]:
+def progress_lines(before: Document | None, after: Document) -> list[str]:
     """Return the questions that were open and those that still are, for a terminal.
 
     Args:
@@ -24,7 +22,7 @@ def progress_lines(before: Mapping[str, object] | None, after: Mapping[str, obje
     return lines
 
 
-def _open(title: str, document: Mapping[str, Any]) -> list[str]:
+def _open(title: str, document: Document) -> list[str]:
     found = " + ".join(str(row.get("name")) for row in [*document["effects"], *document["faults"]]) or "nothing named"
     others = list(dict.fromkeys(alternative_name(row) for row in document["alternatives"]))
     hidden = [str(row.get("name")) for row in document["not_testable"]]
@@ -33,7 +31,7 @@ def _open(title: str, document: Mapping[str, Any]) -> list[str]:
     return _folded(said + f"; not testable: {', '.join(hidden) or 'none'}")
 
 
-def _asked(document: Mapping[str, Any]) -> list[str]:
+def _asked(document: Document) -> list[str]:
     others = [alternative_name(row) for row in document["alternatives"]]
     return list(dict.fromkeys([*others, *(str(row.get("name")) for row in document["not_testable"])]))
 

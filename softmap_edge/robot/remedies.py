@@ -68,9 +68,3 @@ def _complete(command: str, given: Mapping[str, str]) -> str:
         elif command.startswith(tuple(COMPLETES[name])):
             command += f" {option} {value}"
     return command
-
-
-def with_files(text: str, args: object) -> str:
-    """Return a message with the rig and the bundle that the arguments of a command hold."""
-    rig, bundle = (getattr(args, name, None) for name in ("rig", "bundle"))
-    return filled(text, rig if isinstance(rig, str) else None, bundle if isinstance(bundle, str) else None)

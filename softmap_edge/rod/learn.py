@@ -22,6 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 from softmap_edge.alignment.base_motion import kept_places
 from softmap_edge.checks.lost_points import without_lost
 from softmap_edge.errors import RunError, SoftmapError
+from softmap_edge.files.atomic import Document
 from softmap_edge.model.coverage import Coverage, apart, pairs_text
 from softmap_edge.model.learned_in import LearnedIn
 from softmap_edge.model.model import NOMINAL, Model
@@ -77,7 +78,7 @@ class LearnedRod:
     residuals: Floats
     frames: tuple[NDArray[np.intp], ...]
     coverage: Coverage
-    made_from: Mapping[str, Any]
+    made_from: Document
     numbers: tuple[FittedNumber, ...] = ()
     learned_in: tuple[LearnedIn, ...] = ()
     notes: tuple[str, ...] = ()
@@ -149,7 +150,7 @@ def learn(
     else:
         seen = fit_for(robot, seen)
         fitted = fit_elastic(seen, robot, folds(seen.t, blocks, gap_s, seen.labels), seed, static)
-    made_from: dict[str, Any] = {
+    made_from: Document = {
         "softmap-edge": __version__, "run": together[0].hash(), "runs": [run.hash() for run in together],
         "pieces": [[part.origin, first, last] for run in together for part, first, last in spans(run)],
         "frames": len(seen.t), "rate_hz": rate_hz, "blocks": len(fitted.parts), "gap_s": gap_s,
@@ -158,14 +159,14 @@ def learn(
     return _learned(seen, fitted, made_from, [line for _, lines in cleared for line in lines])
 
 
-def _learned(seen: ReferenceFrames, fitted: Fitted, made_from: Mapping[str, Any], lost: Sequence[str]) -> LearnedRod:
+def _learned(seen: ReferenceFrames, fitted: Fitted, made_from: Document, lost: Sequence[str]) -> LearnedRod:
     """Put together what was fitted, how far off it is, and what to beware of."""
     residuals, memory = fitted.residuals, fitted.memory
     tested = residuals[np.isfinite(residuals).all(axis=(1, 2))]
     per_fold = [rms(residuals[test]) for _, test in fitted.parts]
     per_marker = [rms(tested[:, k]) for k in range(tested.shape[1])]
     notes = (*lost, *_notes(seen, fitted, rms(tested), float(made_from["gap_s"])), *memory.notes)
-    more: dict[str, Any] = {
+    more: Document = {
         "per_fold_mm": [round(error, 4) for error in per_fold],
         "per_marker_mm": [round(error, 4) for error in per_marker],
         "compliance": NOMINAL,

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge import _core
 from softmap_edge.errors import RunError
+from softmap_edge.files.atomic import Document
 from softmap_edge.model.basis import SQUARES, Basis
 from softmap_edge.model.servo_calibration import from_home
 from softmap_edge.rod.regression import Drive, Record, rms
@@ -52,7 +53,7 @@ class FittedNumber:
     at_bound: bool
     note: str = ""
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> Document:
         """Return it as documents have it, to six digits."""
         return asdict(self) | {"value": float(f"{self.value:.6g}"), "sigma": float(f"{self.sigma:.3g}")}
 
@@ -102,7 +103,7 @@ class ReferenceFrames:
         return sum(spans)
 
     @property
-    def labels(self) -> NDArray[Any] | None:
+    def labels(self) -> NDArray[np.generic] | None:
         """The `block` labels (n,) of the frames; None where a run has none, or all frames have the same."""
         blocks = [run.block[index] for run, index in zip(self.runs, self.frames) if run.block is not None]
         if len(blocks) < len(self.runs):
@@ -145,7 +146,7 @@ class Fitted:
     memory: Memory
     residuals: Floats
     parts: Folds
-    made_from: Mapping[str, Any]
+    made_from: Document
     numbers: tuple[FittedNumber, ...] = ()
     basis: Basis = SQUARES
 

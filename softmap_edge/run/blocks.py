@@ -20,7 +20,7 @@ Floats = NDArray[np.float64]
 MANY_STEPS = 10.0  # usual steps between frames: a longer one is a gap
 
 
-def joined_blocks(runs: Sequence[Run], follows: Sequence[bool]) -> NDArray[Any] | None:
+def joined_blocks(runs: Sequence[Run], follows: Sequence[bool]) -> NDArray[np.generic] | None:
     """Return the labels (K,) of runs that are joined; None if they are one unlabelled recording.
 
     Args:
@@ -65,7 +65,7 @@ def _changes(values: Floats, apart: Any) -> NDArray[np.bool_]:
     return found
 
 
-def _own(runs: Sequence[Run]) -> NDArray[Any] | None:
+def _own(runs: Sequence[Run]) -> NDArray[np.generic] | None:
     """Return the labels of runs that are one recording; None where no run has any."""
     if all(run.block is None for run in runs):
         return None

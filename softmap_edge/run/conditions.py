@@ -11,10 +11,13 @@ and the start of a dwell is known to one sample. Pinned by tests/comparison/test
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from softmap_edge.run.run import Run
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -56,7 +59,7 @@ class Cell:
     frames: Mask  # (K,)
 
 
-def conditions(run: Any, command: Floats) -> Conditions:
+def conditions(run: Run, command: Floats) -> Conditions:
     """Work out what the commands of a run were doing at its seen frames.
 
     Args:

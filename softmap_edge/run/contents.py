@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
+from softmap_edge.files.atomic import Document
 from softmap_edge.run.fields import ROW_S
 from softmap_edge.run.pieces import spans
 from softmap_edge.run.run import OURS, Run
@@ -14,7 +13,7 @@ DECLARED = {"temperature": "°C", "load": "g"}
 MOST = 12  # blocks or pieces that a text lists
 
 
-def contents(run: Run) -> dict[str, Any]:
+def contents(run: Run) -> Document:
     """Return the contents of a run, with units in the keys.
 
     Returns:
@@ -46,9 +45,9 @@ def contents(run: Run) -> dict[str, Any]:
     }
 
 
-def _declared(run: Run) -> dict[str, Any]:
+def _declared(run: Run) -> Document:
     """Return the range of each declared condition."""
-    found: dict[str, Any] = {}
+    found: Document = {}
     if run.gravity is not None:
         rows = np.unique(np.round(np.atleast_2d(run.gravity), 3), axis=0) + 0.0
         found["gravity"] = rows[:4].tolist()
@@ -61,7 +60,7 @@ def _declared(run: Run) -> dict[str, Any]:
     return found
 
 
-def _blocks(run: Run) -> list[dict[str, Any]]:
+def _blocks(run: Run) -> list[Document]:
     """Return the blocks in the order in which they appear."""
     if run.block is None:
         return []
@@ -78,7 +77,7 @@ def _blocks(run: Run) -> list[dict[str, Any]]:
     ]
 
 
-def _origin(run: Run) -> list[dict[str, Any]]:
+def _origin(run: Run) -> list[Document]:
     """Return the pieces of recordings in the run."""
     found = spans(run)
     ends = [(part.row, part.frame) for part, _, _ in found[1:]] + [(len(run.t), run.frames)]
@@ -101,12 +100,12 @@ def command_ranges(run: Run) -> list[list[float]]:
     return [] if rows is None else [[rounded(c.min()), rounded(c.max())] for c in rows.T]
 
 
-def rounded(value: Any) -> float:
+def rounded(value: float) -> float:
     """Return a number with six digits, as documents hold it."""
     return float(f"{float(value):.6g}")
 
 
-def lines(document: dict[str, Any]) -> list[str]:
+def lines(document: Document) -> list[str]:
     """Return the contents for a terminal."""
     d, unit = document, document["command_unit"]
     over = "without time" if d["timeless"] else f"from {d['from_s']:g} to {d['to_s']:g} s"
@@ -123,14 +122,14 @@ def lines(document: dict[str, Any]) -> list[str]:
     return [*found, f"hash      {d['hash']}"]
 
 
-def _seen(document: dict[str, Any]) -> str:
+def _seen(document: Document) -> str:
     names, unit = document["names"], document["output_unit"]
     if unit is not None:
         return f"{', '.join(names)} ({unit})"
     return f"{len(names)} markers: {', '.join(names)}" if names else str(document["seen"] or "nothing")
 
 
-def _conditions(declared: dict[str, Any]) -> str:
+def _conditions(declared: Document) -> str:
     texts = [f"gravity {' and '.join(map(str, declared['gravity']))}"] if "gravity" in declared else []
     for name, unit in DECLARED.items():
         if name in declared:
@@ -140,17 +139,17 @@ def _conditions(declared: dict[str, Any]) -> str:
     return ", ".join(texts) or "nothing"
 
 
-def _block(one: dict[str, Any], timeless: bool) -> str:
+def _block(one: Document, timeless: bool) -> str:
     return f"{one['label']}: {one['frames']} frames from {_between(one, timeless)}"
 
 
-def _between(one: dict[str, Any], timeless: bool) -> str:
+def _between(one: Document, timeless: bool) -> str:
     """Return the span of a block or a piece: times, or rows of a log without time."""
     low, high = one["from_s"], one["to_s"]
     return f"row {low / ROW_S:.0f} to {high / ROW_S:.0f}" if timeless else f"{low:g} to {high:g} s"
 
 
-def _piece(one: dict[str, Any], own: str, timeless: bool) -> str:
+def _piece(one: Document, own: str, timeless: bool) -> str:
     what = "this recording" if one["recording"] == own else f"recording {one['recording'][:12]}"
     at = f"row {one['at_s'] / ROW_S:.0f}" if timeless else f"{one['at_s']:g} s"
     where = "" if one["at_s"] == one["from_s"] else f", here at {at}"

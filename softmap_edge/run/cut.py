@@ -9,12 +9,12 @@ Pinned by tests/run/test_run_parts.py.
 from __future__ import annotations
 
 import dataclasses
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.errors import RunError, no_name
+from softmap_edge.files.atomic import Document
 from softmap_edge.run import fields as run_fields
 from softmap_edge.run import pieces as run_pieces
 from softmap_edge.run.join import join_runs
@@ -100,7 +100,7 @@ def _part(run: Run, frames: slice, lead_s: float, start: float = np.inf, end: fl
     return dataclasses.replace(part, **_rows(run, rows), extra=extra)
 
 
-def _rows(run: Run, rows: slice) -> dict[str, Any]:
+def _rows(run: Run, rows: slice) -> Document:
     """Return the fields that have a row for each command, cut."""
     values = {name: getattr(run, name) for name, (axes, _) in run_fields.AXES.items() if axes.startswith("T")}
     return {
@@ -110,7 +110,7 @@ def _rows(run: Run, rows: slice) -> dict[str, Any]:
     }
 
 
-def _along(run: Run, rows: slice, frames: slice) -> list[tuple[str, NDArray[Any], slice]]:
+def _along(run: Run, rows: slice, frames: slice) -> list[tuple[str, NDArray[np.generic], slice]]:
     """Return the unknown fields that have an entry for each row or each frame, and their part."""
     unknown = [(name, array) for name, array in run.extra.items() if name not in OURS and array.ndim]
     by_row = [(name, array, rows) for name, array in unknown if len(array) == len(run.t)]

@@ -7,12 +7,13 @@ mm) fall outside.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.errors import RunError
+from softmap_edge.files.atomic import Document
 from softmap_edge.files.time_digits import differing
 from softmap_edge.run.output import Output, output_of
 
@@ -76,7 +77,7 @@ _TICK = 1e-9  # s: no clock of ours is finer
 _SAMPLE = 200_000  # values looked at for the extent: enough for any file, quick for the largest
 
 
-def convert(name: str, value: object) -> NDArray[Any]:
+def convert(name: str, value: object) -> NDArray[np.generic]:
     """Return a read-only copy of `value` in the type of field `name`.
 
     Raises:
@@ -108,7 +109,7 @@ def convert(name: str, value: object) -> NDArray[Any]:
     return frozen(np.array(array, np.float64, order="C"))
 
 
-def frozen(array: NDArray[np.generic]) -> NDArray[Any]:
+def frozen(array: NDArray[np.generic]) -> NDArray[np.generic]:
     """Return an array that nobody can change by mistake."""
     array.setflags(write=False)
     return array
@@ -129,7 +130,7 @@ def text(name: str, value: NDArray[np.generic]) -> str:
     return found
 
 
-def outputs_from(stored: dict[str, NDArray[Any]]) -> dict[str, Any]:
+def outputs_from(stored: dict[str, NDArray[np.generic]]) -> Document:
     """Replace the fields of outputs in a file by those of a run; return these.
 
     A file may hold `output` (K, Q) in `output_unit`, as a person writes it, in place of markers and their scale.
@@ -137,7 +138,7 @@ def outputs_from(stored: dict[str, NDArray[Any]]) -> dict[str, Any]:
     Raises:
         RunError: a field is missing or of another kind.
     """
-    found: dict[str, Any] = {}
+    found: Document = {}
     if "timeless" in stored:
         found["timeless"] = bool(np.all(convert("visible", stored.pop("timeless"))))
     unit = text("output_unit", stored.pop("output_unit")) if "output_unit" in stored else None
@@ -156,9 +157,9 @@ def outputs_from(stored: dict[str, NDArray[Any]]) -> dict[str, Any]:
     return found | {"output": Output(names, unit, float(scale.reshape(-1)[0]))}
 
 
-def stored_outputs(run: Run) -> dict[str, NDArray[Any]]:
+def stored_outputs(run: Run) -> dict[str, NDArray[np.generic]]:
     """Return the fields in which a file keeps the meaning of the markers, and that there is no time."""
-    found: dict[str, NDArray[Any]] = {"timeless": np.asarray(True)} if run.timeless else {}
+    found: dict[str, NDArray[np.generic]] = {"timeless": np.asarray(True)} if run.timeless else {}
     if run.output is None:
         return found
     return found | {

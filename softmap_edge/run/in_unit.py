@@ -11,6 +11,7 @@ import re
 from collections.abc import Mapping
 from typing import Any
 
+from softmap_edge.files.atomic import Document
 from softmap_edge.files.numbers import mm
 from softmap_edge.run.output import Output
 
@@ -19,13 +20,13 @@ _RMS = re.compile(r"((?:\d+\.?\d* (?:to|and|of) )?)(\d+\.?\d*) mm RMS")
 _NUMBER = re.compile(r"\d+\.?\d*")
 
 
-def output_of(made_from: Mapping[str, Any]) -> Output | None:
+def output_of(made_from: Document) -> Output | None:
     """Return the output that a document is about, from its `made_from`; None for places."""
     document = made_from.get("output")
     return None if document is None else Output.from_dict(document)
 
 
-def unit_of(made_from: Mapping[str, object]) -> str:
+def unit_of(made_from: Document) -> str:
     """Return the unit of the figures of a document after `in_unit` or `comparison_in_unit`."""
     output = output_of(made_from)
     return PLACES if output is None else output.unit
@@ -45,12 +46,12 @@ def words_in_unit(text: str, output: Output | None) -> str:
     return _RMS.sub(turned, text)
 
 
-def in_unit(document: Mapping[str, Any]) -> dict[str, Any]:
+def in_unit(document: Document) -> Document:
     """Return a diagnosis document with its figures in the unit of its output; unchanged for places."""
     output = output_of(document.get("made_from") or {})
     if output is None:
         return dict(document)
-    found: dict[str, Any] = lengths_in_unit(dict(document), output)
+    found: Document = lengths_in_unit(dict(document), output)
     error = dict(document.get("error") or {})
     figures = {key: value for key, value in error.items() if isinstance(value, (int, float)) and key not in _PLAIN}
     error |= {key: output.value(value) for key, value in figures.items()}
@@ -59,7 +60,7 @@ def in_unit(document: Mapping[str, Any]) -> dict[str, Any]:
     return found | {"error": error | {"unit": output.unit}, "where": where}
 
 
-def renamed_maps(maps: Mapping[str, object]) -> dict[str, Any]:
+def renamed_maps(maps: Document) -> Document:
     """Return maps of the error with one entry for each output in place of the sections of a body."""
     return {"output" if name == "section" else name: rows for name, rows in maps.items()}
 

@@ -10,12 +10,12 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.errors import RunError
+from softmap_edge.files.atomic import Document
 from softmap_edge.run import pieces as run_pieces
 from softmap_edge.run.blocks import joined_blocks
 from softmap_edge.run.fits import check_fit
@@ -60,7 +60,7 @@ def join_runs(runs: Sequence[Run], gap_s: float = GAP_S, drop: Collection[str] =
     check_fit(runs)
     _check_size(runs)
     placed = _placed(runs, gap_s)
-    change: dict[str, Any] = {
+    change: Document = {
         "t": np.concatenate([one.run.t[one.skip :] + one.shift_s for one in placed]),
         "t_seen": np.concatenate([one.run.t_seen + one.shift_s for one in placed]),
         "block": joined_blocks([one.run for one in placed], [one.follows for one in placed]),
@@ -75,7 +75,7 @@ def _without(run: Run, drop: Collection[str]) -> Run:
     needed = {"t", "t_seen", "command", "ticks", "start", *POINTS, "points"} & set(drop)
     if needed:
         raise RunError(f"drop: {', '.join(sorted(needed))} cannot be left out of a run")
-    known: dict[str, Any] = {name: None for name in drop if name in run.__dataclass_fields__ and name not in run.extra}
+    known: Document = {name: None for name in drop if name in run.__dataclass_fields__ and name not in run.extra}
     extra = {name: array for name, array in run.extra.items() if name not in drop}
     return replace(run, **known, extra=extra)
 
@@ -170,12 +170,10 @@ def _pieces(placed: Sequence[_Placed]) -> list[run_pieces.Piece]:
 
 
 # --- the fields -----------------------------------------------------------------------------
-def _by_row(placed: Sequence[_Placed]) -> dict[str, Any]:
+def _by_row(placed: Sequence[_Placed]) -> Document:
     """Return the fields that have an entry for each row."""
     names = [name for name in BY_ROW if getattr(placed[0].run, name) is not None]
-    found: dict[str, Any] = {
-        name: np.concatenate([getattr(one.run, name)[one.skip :] for one in placed]) for name in names
-    }
+    found: Document = {name: np.concatenate([getattr(one.run, name)[one.skip :] for one in placed]) for name in names}
     gravity = [one.run.gravity for one in placed if one.run.gravity is not None]
     if gravity:
         same = all(rows.ndim == 1 and np.array_equal(rows, gravity[0]) for rows in gravity)
@@ -184,9 +182,9 @@ def _by_row(placed: Sequence[_Placed]) -> dict[str, Any]:
     return found
 
 
-def _seen(runs: Sequence[Run]) -> dict[str, Any]:
+def _seen(runs: Sequence[Run]) -> Document:
     """Return the seen data: points, their visibility and their sigma."""
-    found: dict[str, Any] = {
+    found: Document = {
         name: np.concatenate([getattr(run, name) for run in runs])
         for name in POINTS
         if getattr(runs[0], name) is not None
@@ -213,14 +211,14 @@ def _visible(run: Run) -> NDArray[np.bool_]:
     return np.ones((run.frames, count), bool)
 
 
-def _frames(runs: Sequence[Run]) -> dict[str, Any]:
+def _frames(runs: Sequence[Run]) -> Document:
     """Return the frame of aligned runs if they share it, and the largest of their uncertainties."""
     first, sigma = runs[0].frame, [run.frame_sigma for run in runs if run.frame_sigma is not None]
     same = first is not None and all(run.frame is not None and np.array_equal(run.frame, first) for run in runs)
     return {"frame": first if same else None, "frame_sigma": np.max(sigma, axis=0) if sigma else None}
 
 
-def _extra(placed: Sequence[_Placed]) -> dict[str, NDArray[Any]]:
+def _extra(placed: Sequence[_Placed]) -> dict[str, NDArray[np.generic]]:
     """Return the fields of `extra`: joined where they go by row or by frame, else as they are in all runs."""
     found = {}
     for name in sorted({name for one in placed for name in one.run.extra} - set(PIECES)):
@@ -240,7 +238,7 @@ def _extra(placed: Sequence[_Placed]) -> dict[str, NDArray[Any]]:
     return found
 
 
-def _stacked(name: str, arrays: Sequence[NDArray[Any]]) -> NDArray[Any]:
+def _stacked(name: str, arrays: Sequence[NDArray[np.generic]]) -> NDArray[np.generic]:
     """Return arrays one after the other; raise RunError if their other axes differ."""
     if len({(array.shape[1:], array.dtype.kind) for array in arrays}) > 1:
         raise RunError(

@@ -9,12 +9,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from softmap_edge.errors import RunError
+from softmap_edge.files.atomic import Document
 
 Floats = NDArray[np.float64]
 
@@ -76,12 +76,12 @@ class Output:
         points[..., 0] *= other.mm_per_unit / self.mm_per_unit
         return points
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> Document:
         """Return the record as documents and manifests hold it."""
         return asdict(self) | {"names": list(self.names)}
 
     @classmethod
-    def from_dict(cls, document: Mapping[str, Any]) -> Output:
+    def from_dict(cls, document: Document) -> Output:
         """Read the result of `to_dict`.
 
         Raises:
@@ -122,7 +122,7 @@ def acts_on_outputs(effect: Mapping[str, object]) -> bool:
     return bool(effect["role"] == "channel" or (effect["role"] == "sensing" and effect["family"] == "delay"))
 
 
-def needs_time(effect: Mapping[str, Any]) -> bool:
+def needs_time(effect: Document) -> bool:
     """Return whether an effect of the registry is a delay, a rate or a time constant, which needs times."""
     units = [p["unit"] for p in effect["parameters"] if p["name"] != "at"]  # an instant is a row as well
     return any(unit == "s" or unit.endswith(("/s", "/min")) for unit in units)

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,7 +46,7 @@ def pieces(run: Run) -> tuple[Piece, ...]:
     return tuple(Piece(str(o), int(r), int(f), float(s)) for o, r, f, s in zip(origin, row, frame, shift))
 
 
-def _fit(run: Run, arrays: Sequence[NDArray[Any]]) -> bool:
+def _fit(run: Run, arrays: Sequence[NDArray[np.generic]]) -> bool:
     """Return whether the fields of pieces (P,) belong to the run."""
     origin, row, frame, shift = arrays
     if len({array.shape for array in arrays}) > 1 or origin.ndim != 1 or not len(origin):
@@ -59,7 +58,7 @@ def _fit(run: Run, arrays: Sequence[NDArray[Any]]) -> bool:
     return bool(named and rise and row[-1] < len(run.t) and frame[-1] <= run.frames and np.isfinite(shift).all())
 
 
-def fields(parts: Sequence[Piece]) -> dict[str, NDArray[Any]]:
+def fields(parts: Sequence[Piece]) -> dict[str, NDArray[np.generic]]:
     """Return the fields of `Run.extra` that keep the pieces."""
     values = (
         np.array([part.origin for part in parts]),

@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from softmap_edge.errors import RunError
+from softmap_edge.files.atomic import Document
 from softmap_edge.files.npz import MAX_BYTES, read_npz, write_npz
 from softmap_edge.run import fields
 from softmap_edge.run.output import Output, output_of
@@ -48,14 +49,14 @@ OURS = {BASE_MARKERS, SPOOL_RADIUS, ROLL_SEEN, NOT_SEEN, PLANE, HOME_TICKS, "mad
 OURS |= {CALIBRATION, DAMAGE, *PIECES}
 
 
-def spool_radius(extra: Mapping[str, NDArray[Any]]) -> float | None:
+def spool_radius(extra: Mapping[str, NDArray[np.generic]]) -> float | None:
     """Return the radius of the spools (mm) that a mapping declared, of `Run.extra`; None without a plausible one."""
     value = np.asarray(extra.get(SPOOL_RADIUS, 0.0))
     plain = value.ndim == 0 and value.dtype.kind in "fiu"
     return float(value) if plain and SPOOLS_MM[0] <= float(value) <= SPOOLS_MM[1] else None
 
 
-def text_in(extra: Mapping[str, NDArray[Any]], name: str) -> str | None:
+def text_in(extra: Mapping[str, NDArray[np.generic]], name: str) -> str | None:
     """Return the text of a field of `Run.extra`; None if there is none, or an array of another program."""
     field = extra.get(name)
     return None if field is None or field.dtype.kind != "U" or field.size != 1 else str(field.reshape(-1)[0])
@@ -76,8 +77,8 @@ def _load(path: str | os.PathLike[str], limit: int = MAX_BYTES) -> Run:
     if numbers > MAX_NUMBERS:  # each takes eight bytes, several times, in whatever type it is stored
         raise RunError(f"{path}: {numbers:.3g} numbers, at most {MAX_NUMBERS:.3g} are read; cut it into shorter runs")
     try:
-        stored: dict[str, NDArray[Any]] = dict(archive)
-        known: dict[str, Any] = {name: stored.pop(name) for name in fields.AXES if name in stored}
+        stored: dict[str, NDArray[np.generic]] = dict(archive)
+        known: Document = {name: stored.pop(name) for name in fields.AXES if name in stored}
         for name in ("robot", "command_unit"):
             if name in stored:
                 known[name] = fields.text(name, stored.pop(name))
@@ -150,7 +151,7 @@ class Run:
     load: _Load = _Load()
     visible: NDArray[np.bool_] | None = None
     sigma: Array | None = None
-    block: NDArray[Any] | None = None
+    block: NDArray[np.generic] | None = None
     marker_rest: Array | None = None
     frame: Array | None = None
     frame_sigma: Array | None = None
@@ -159,7 +160,7 @@ class Run:
     command_unit: str = "mm"
     output: Output | None = None
     timeless: bool = False
-    extra: dict[str, NDArray[Any]] = field(default_factory=dict)
+    extra: dict[str, NDArray[np.generic]] = field(default_factory=dict)
 
     @classmethod
     def of_outputs(
@@ -207,7 +208,7 @@ class Run:
         fields.check(self)
 
     # --- files ---------------------------------------------------------------------------
-    def arrays(self) -> dict[str, NDArray[Any]]:
+    def arrays(self) -> dict[str, NDArray[np.generic]]:
         """Return the fields that are set, as they are stored (texts as 0-d arrays), unknown ones last."""
         known = {name: getattr(self, name) for name in fields.AXES}
         stored = {name: np.asarray(value) for name, value in known.items() if value is not None}
@@ -338,7 +339,7 @@ class Run:
         index = np.flatnonzero(chosen) if chosen.dtype == bool else chosen.astype(np.int64).reshape(-1)
         if index.size and (index.min() < -self.frames or index.max() >= self.frames):
             raise RunError(f"select: frame {index.max()}, the run has {self.frames}")
-        change: dict[str, Any] = {}
+        change: Document = {}
         for name in ("t_seen", "vertices", "markers", "visible", "block", "sigma"):
             value = getattr(self, name)
             if value is not None and value.ndim:

@@ -14,7 +14,6 @@ from __future__ import annotations
 import hashlib
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +22,7 @@ from softmap_edge import _core
 from softmap_edge.errors import SweepError, brief
 from softmap_edge.fem.build import FIELD_STEPS, Progress, from_sweep, leading, simulator_of
 from softmap_edge.fem.simulator import Sweep, tensor_grid
+from softmap_edge.files.atomic import Document
 from softmap_edge.geometry.centreline import Centreline, farthest, find_centreline
 from softmap_edge.geometry.sections import tip_of
 from softmap_edge.model.model import NOMINAL, Arrays, Model
@@ -79,7 +79,7 @@ def _as_from_its_finger(path: Path, report: Progress) -> Model:
     return from_sweep(sweep.finger, simulator_of(sweep.finger), sweep, report)
 
 
-def model_from_shapes(sweep: ShapeSweep, source: dict[str, Any] | None = None, progress: Progress = PROGRESS) -> Model:
+def model_from_shapes(sweep: ShapeSweep, source: Document | None = None, progress: Progress = PROGRESS) -> Model:
     """Return the model of a checked sweep; `source` joins `made_from`.
 
     Raises:
@@ -165,7 +165,7 @@ def _gaps(reach: float) -> list[str]:
     ]
 
 
-def _home(shape: Any, command: Floats) -> Floats:
+def _home(shape: _core.Shape, command: Floats) -> Floats:
     """Return the shape (N, 3) mm without command, or as near to that as the sweep reaches."""
     zero = np.clip(np.zeros(command.shape[1]), command.min(axis=0), command.max(axis=0))
     return np.asarray(shape.evaluate(zero[None])).reshape(-1, 3)
@@ -230,7 +230,7 @@ def _error(model: Model, prior: Arrays, flat: Floats, values: Floats, left: Floa
     return np.sqrt(squares / len(flat)), float(np.sqrt(vertex / len(flat)))
 
 
-def _stiffness(sweep: ShapeSweep, line: Centreline, shape: Any, own_error: float) -> Stiffness:
+def _stiffness(sweep: ShapeSweep, line: Centreline, shape: _core.Shape, own_error: float) -> Stiffness:
     if sweep.load is None:
         return Stiffness.nominal(line)
     assert sweep.loaded_command is not None and sweep.loaded_vertices is not None
@@ -240,7 +240,7 @@ def _stiffness(sweep: ShapeSweep, line: Centreline, shape: Any, own_error: float
     return weigh(line, unloaded, sweep.loaded_vertices, force, sweep.mass, own_error)
 
 
-def _fields(sweep: ShapeSweep, line: Centreline, shape: Any, stiffness: Stiffness) -> Arrays:
+def _fields(sweep: ShapeSweep, line: Centreline, shape: _core.Shape, stiffness: Stiffness) -> Arrays:
     """Return the arrays of the load fields: on a coarser grid, or over some of the scattered commands."""
     points = sweep.vertices.shape[1]
     if sweep.axes is not None:
@@ -270,7 +270,7 @@ def _fields(sweep: ShapeSweep, line: Centreline, shape: Any, stiffness: Stiffnes
     return arrays | {f"coefficients_{name}": value.astype(kind) for name, value in values.items()}
 
 
-def _told(stiffness: Stiffness) -> dict[str, Any] | str:
+def _told(stiffness: Stiffness) -> Document | str:
     if not stiffness.known:
         return NOMINAL
     return {

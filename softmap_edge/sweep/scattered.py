@@ -17,7 +17,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -59,7 +58,7 @@ class ScatteredFit:
     reach: float
 
     @property
-    def arrays(self) -> dict[str, NDArray[Any]]:
+    def arrays(self) -> dict[str, NDArray[np.generic]]:
         """What a family of shapes is made from, less its mean and modes (`model/shapes.py`)."""
         kept = {"nodes": self.nodes, "scale": self.scale, "coefficients": self.coefficients}
         return kept | {"power": np.array(self.power)}

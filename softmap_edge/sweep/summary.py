@@ -4,17 +4,16 @@ show`.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
+from softmap_edge.files.atomic import Document
 from softmap_edge.geometry.centreline import find_centreline
 from softmap_edge.sweep.sweep_file import ShapeSweep, is_own_sweep
 
 
-def summary(sweep: ShapeSweep) -> dict[str, Any]:
+def summary(sweep: ShapeSweep) -> Document:
     """Return what a sweep holds, with units in the keys, and what a model made of it can therefore not tell."""
     home = sweep.vertices[int(np.argmin(np.sum(sweep.command**2, axis=1)))]
     line = find_centreline(home, sweep.base)
@@ -46,7 +45,7 @@ def summary(sweep: ShapeSweep) -> dict[str, Any]:
     }
 
 
-def read_summary(path: Path) -> dict[str, Any]:
+def read_summary(path: Path) -> Document:
     """Read a sweep file, made elsewhere or by `softmap model sweep`, and return its summary; raise SoftmapError."""
     if not is_own_sweep(path):
         return summary(ShapeSweep.load_file(path))
@@ -68,7 +67,7 @@ def read_summary(path: Path) -> dict[str, Any]:
     )
 
 
-def sentences(document: Mapping[str, Any]) -> list[str]:
+def sentences(document: Document) -> list[str]:
     """Return a summary in plain words, one line each."""
     d = document
     form = "scattered" if d["grid"] is None else "a grid of " + " × ".join(map(str, d["grid"]))

@@ -21,7 +21,6 @@ from collections.abc import Callable, Sequence
 from contextvars import ContextVar
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +29,7 @@ from softmap_edge import _core
 from softmap_edge.errors import SoftmapError
 from softmap_edge.fem.finger import Finger
 from softmap_edge.fem.simulator import Simulator, tour
+from softmap_edge.files.atomic import Document
 from softmap_edge.geometry.sections import SECTIONS, sections_of
 from softmap_edge.robot.emulated.laws import LAWS, NEWTON_PER_GRAM, Law, rotation
 from softmap_edge.robot.emulated.named_laws import NAMED, check_hidden
@@ -88,7 +88,7 @@ class HiddenEffect:
         """Return the effect's name."""
         return self.law.NAME
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> Document:
         """Return `{name, params, displacement_mm}`."""
         return {"name": self.name, "params": self.law.params(), "displacement_mm": round(self.displacement_mm, 4)}
 

@@ -17,7 +17,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +24,7 @@ from numpy.typing import NDArray
 from softmap_edge.errors import SoftmapError
 from softmap_edge.fem.finger import Finger
 from softmap_edge.fem.simulator import Simulator
+from softmap_edge.files.atomic import Document
 from softmap_edge.model.model import Model
 from softmap_edge.model.servo_calibration import Calibration
 from softmap_edge.robot.drive.track import Course, course, spread
@@ -67,9 +67,9 @@ class Row:
     stand_in: Floats
     unreachable: float
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> Document:
         """Return means, standard deviations and the largest, with the paper's beside them."""
-        found: dict[str, Any] = {"figure": self.figure, "model": self.model, "unreachable_mm": self.unreachable}
+        found: Document = {"figure": self.figure, "model": self.model, "unreachable_mm": self.unreachable}
         found |= {f"{name}_mm": spread(getattr(self, name)) for name in ("expected", *WHERE)}
         published = PUBLISHED_ERRORS.get((self.figure, self.model))
         if published is None:
@@ -181,10 +181,10 @@ def _off(planned: Course, tip: Floats, seen: NDArray[np.int64]) -> Floats:
     return np.asarray(np.linalg.norm(((tip - tip[0]) - wanted)[1:, counts], axis=1))
 
 
-def text_of(document: dict[str, Any]) -> str:
+def text_of(document: Document) -> str:
     """Return the table as text, the paper's columns beside ours."""
 
-    def numbers(told: dict[str, Any] | None) -> str:
+    def numbers(told: Document | None) -> str:
         return "–" if told is None else "{mean:.2f} ± {sd:.2f}, {max:.2f}".format(**told)
 
     head = ("", "", "the model itself", "simulator", "stand-in", "paper: simulation", "paper: hardware")

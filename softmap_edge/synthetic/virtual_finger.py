@@ -18,7 +18,6 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +27,7 @@ from softmap_edge.fem.bodies import Meshed
 from softmap_edge.fem.cut import Cut
 from softmap_edge.fem.finger import Finger, Tendon
 from softmap_edge.fem.simulator import FingerTemplate, Simulator
+from softmap_edge.files.atomic import Document
 from softmap_edge.robot.emulated.laws import LAWS, BoucWen, Law, TrueWeight, rotation
 from softmap_edge.robot.emulated.named_laws import NAMED, check_hidden
 from softmap_edge.robot.emulated.published_map import PUBLISHED, ServoMap
@@ -37,7 +37,7 @@ from softmap_edge.synthetic.depth_camera import TWO, DepthCameras
 from softmap_edge.synthetic.finger import HiddenEffect, Truth, Vector, different, hide, toured
 
 Floats = NDArray[np.float64]
-Arrays = dict[str, NDArray[Any]]
+Arrays = dict[str, NDArray[np.generic]]
 
 SCHEMA = "softmap.virtual/1"
 MODULUS = (0.8, 1.2)  # of the model's
@@ -154,7 +154,7 @@ class VirtualFinger:
         }
         return run, truth
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> Document:
         """Return what was drawn."""
         return {
             "seed": self.seed,

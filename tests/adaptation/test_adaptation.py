@@ -17,6 +17,8 @@ from softmap_edge.synthetic.finger import hide
 from softmap_edge.synthetic.virtual_finger import virtual_finger
 from softmap_edge.synthetic.virtual_protocol import virtual_protocol
 
+pytestmark = pytest.mark.long
+
 MODEL = builtin_model()
 CAMERAS = replace(TWO, points=2000, hole_mm=8.0)
 

@@ -22,6 +22,8 @@ from softmap_edge.cli import main  # noqa: E402
 from softmap_edge.geometry.rigid import RigidPose, rotation, rotation_vector  # noqa: E402
 from softmap_edge.synthetic.depth_camera import TWO  # noqa: E402
 
+pytestmark = pytest.mark.long
+
 torch.set_num_threads(1)
 MODEL = builtin_model()
 STILL = clamped(MODEL)

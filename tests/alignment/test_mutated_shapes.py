@@ -136,7 +136,6 @@ def test_damaged_shapes(form, tmp_path):
 
 
 @pytest.mark.long
-@pytest.mark.prove
 @pytest.mark.parametrize("form", FORMATS, ids=lambda form: form.name)
 def test_500_damaged_shapes(form, tmp_path):
     assert_some(__file__, form, tmp_path, 500)

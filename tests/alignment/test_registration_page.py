@@ -23,6 +23,8 @@ from softmap_edge.fem import finger
 from softmap_edge.geometry.rigid import RigidPose, rotation, rotation_vector
 from softmap_edge.robot.emulated.published_map import PUBLISHED
 
+pytestmark = pytest.mark.long
+
 PAGE = (Path(__file__).parents[2] / "docs/do/registration.md").read_text(encoding="utf-8")
 
 

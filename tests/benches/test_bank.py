@@ -159,6 +159,7 @@ def test_errors_of_the_camera_hang_together_in_time_and_patches_are_hidden():
     assert visible.mean() == pytest.approx(1 - round(0.08 * 40) / 40)
 
 
+@pytest.mark.long
 def test_clouds_give_vertices_whose_roll_is_unseen_near_the_true_ones():
     mine, protocol = case("development", "B", "clouds", "null", 0), thinned(standard_protocol(2))
     assert 2 * protocol.frames - standard_protocol(2).frames in (0, 1) and not mine.marked and mine.seen_as == "clouds"
@@ -293,6 +294,7 @@ def test_a_case_that_fails_says_so_and_is_tried_again(tmp_path, capsys, monkeypa
     assert "null, single" in capsys.readouterr().err
 
 
+@pytest.mark.long
 def test_the_model_of_the_rod_is_as_good_as_it_says():
     body, protocol = body_of("A"), judge_protocol(3)
     mine = next(one for n in range(40) if (one := case("development", "A", "easy", "null", n)).marked)
@@ -378,6 +380,7 @@ FIXED = [("null", 0), ("null", 3), ("single", 0), ("single", 8), ("untestable", 
 PAIRS = (29, 23, 18)
 
 
+@pytest.mark.long
 def test_a_fixed_slice_is_diagnosed(tmp_path, capsys):
     for kind, number in FIXED:
         work((("development", "A", "real", kind, number), str(tmp_path / "cases"), str(tmp_path), "now"))

@@ -158,3 +158,14 @@ def test_any_run_has_an_answer_or_none():
     assert found is None or found.fast_ppm == pytest.approx(400, abs=5 * found.sigma_ppm)
     for size in (20.0, 0.1):
         frame_clock(Run(t=full.t, t_seen=full.t_seen, command=full.command, markers=full.markers * size))
+
+
+@pytest.mark.parametrize("ppm", [0.0, 10.0, -10.0])
+def test_a_drift_within_its_spread_is_neither_reported_nor_corrected(ppm):
+    scores = []
+    for seed in range(6):
+        found = frame_clock(run(seed, ppm))
+        scores.append((found.fast_ppm - ppm) / found.sigma_ppm)
+        assert not found.differs and found.to_dict()["text"] is None
+        assert "agree within" in str(found) and "±" in str(found) and "fast_ppm" not in str(found)
+    assert 0.2 < np.sqrt(np.mean(np.square(scores))) < 2.5, "the spread is that of the estimates"

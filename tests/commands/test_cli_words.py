@@ -121,7 +121,7 @@ def test_help_alone_of_an_action_and_of_nothing(capsys):
 FILES = {
     "show": (["show", "run.npz"], None),
     "help": (["help"], None),
-    "effects": (["effects"], None),
+    "effects": (["model", "effects"], None),
     "check": (["check", "run.npz"], None),
     "compare": (["compare", "run.npz", "--bundle", "model", "--html", "page.html"], "page.html"),
     "diagnose": (["diagnose", "run.npz", "--bundle", "model", "--effects", "offset", "--out", "d.json"], "d.json"),

@@ -19,6 +19,8 @@ from softmap_edge.model.user_effect import forget_effect, loaded
 from softmap_edge.robot.emulated.named_laws import OffCentreSpool
 from softmap_edge.run.run import Run
 
+pytestmark = pytest.mark.long
+
 PAGE = (ROOT / "docs/do/own_effect.md").read_text(encoding="utf-8")
 EXAMPLE = (ROOT / "examples/off_centre_pulley.py").read_text(encoding="utf-8")
 FALL = 0.8  # of the removable error

@@ -14,6 +14,7 @@ from softmap_edge.run.protocol import standard_protocol
 from softmap_edge.synthetic.finger import hide
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("hangs", "fits"), [(0.0, "no load at all fits"), (10.0, "10")])
 def test_a_load_that_is_declared_wrongly_is_no_physics(hangs, fits):
     run = finger_run()

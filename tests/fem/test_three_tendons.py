@@ -10,6 +10,8 @@ from softmap_edge.cli import main
 from softmap_edge.commands.demo import trial
 from softmap_edge.synthetic.finger import hide
 
+pytestmark = pytest.mark.long
+
 FILE = Path(__file__).parents[2] / "examples/three_tendons.toml"
 FALL = 0.85  # of the removable error, as the two pairs of the built-in finger promise
 

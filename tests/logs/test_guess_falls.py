@@ -76,10 +76,16 @@ def test_a_clock_that_was_set_back_once_is_mended(tmp_path, size):
     assert read(found, path).run.t == pytest.approx(EVEN, abs=1e-6)
 
 
-def test_a_clock_that_was_set_back_twice_is_read_with_a_doubt(tmp_path):
-    found, path = proposed(tmp_path, set_back((140, 1.0), (200, 2.0)))
-    assert 'repeated = "drop"' in found.text and any("falls 2 times" in said for said in found.unknown)
-    assert any("leaves out" in doubt for doubt in read(found, path).doubts)
+@pytest.mark.parametrize(
+    "steps", [((140, 1.0), (200, 2.0)), ((90, 3.0), (150, 1.5), (240, 60.0)), ((100, 60.0), (200, 60.0))]
+)
+def test_a_clock_that_was_set_back_several_times_is_mended_with_a_doubt(tmp_path, steps):
+    found, path = proposed(tmp_path, set_back(*steps))
+    assert 'jumps = "mend"' in found.text and 'repeated = "drop"' not in found.text
+    assert any(f"at row {steps[-1][0]}: jumps" in said and f"{len(steps)} steps" in said for said in found.unknown)
+    done = read(found, path)
+    assert done.run.t == pytest.approx(EVEN, abs=1e-6)
+    assert sum("the clock was set by" in doubt for doubt in done.doubts) == len(steps)
 
 
 def test_recordings_in_a_row_are_not_joined(tmp_path):
@@ -89,9 +95,9 @@ def test_recordings_in_a_row_are_not_joined(tmp_path):
     assert any("to_row = 149 and from_row = 150" in said for said in found.unknown)
 
 
-def test_a_clock_that_falls_by_more_than_it_rises_is_still_named(tmp_path):
-    found, _ = proposed(tmp_path, set_back((100, 60.0), (200, 60.0)))
-    assert 'column = "time", unit = "s" }' in found.text and any("which is too much" in said for said in found.unknown)
+def test_several_recordings_in_a_row_are_not_mended(tmp_path):
+    found, _ = proposed(tmp_path, np.r_[EVEN[:100], EVEN[:100], EVEN[:100]])
+    assert "mend" not in found.text.split("schema")[1] and any("starts again at row 100" in s for s in found.unknown)
 
 
 # --- the unit --------------------------------------------------------------------------------

@@ -146,3 +146,24 @@ def test_right_logs_of_real_robots_raise_no_doubt(tmp_path):
     (tmp_path / "map.toml").write_text(text.replace('axes = ["x", "z", "-y"]', ""))
     found = import_logs(logs, read_mapping(tmp_path / "map.toml")).doubts
     assert any('set frame.axes = ["x", "z", "-y"]' in doubt for doubt in found)
+
+
+BASED = """schema = "softmap.mapping/1"
+[[log]]
+time = { column = "t" }
+markers = { columns = [["x", "y", "z"]], unit = "mm" }
+base = { columns = [["p", "q", "r"], ["u", "v", "w"]], unit = "%s" }
+"""
+
+
+@pytest.mark.parametrize(("stated", "scale", "said"), [("mm", 1e-3, "m"), ("m", 1.0, "mm"), ("mm", 1.0, None)])
+def test_a_base_in_another_unit_is_doubted_by_its_own_key(tmp_path, stated, scale, said):
+    base = scale * np.array([40.0, 3.0, 8.0, -38.0, 12.0, 9.0])
+    lines = ["t,x,y,z,p,q,r,u,v,w"]
+    for k in range(60):
+        tip = [20 * np.sin(k / 9), 10 * np.cos(k / 7), 120.0]
+        lines.append(",".join(f"{x:.6f}" for x in (0.05 * k, *tip, *(base + 1e-5 * scale * np.sin(k)))))
+    doubts = imported(tmp_path, "\n".join(lines) + "\n", BASED % stated).doubts
+    named = [doubt for doubt in doubts if doubt.startswith("base: span")]
+    assert bool(named) == (said is not None) and all(f'set unit = "{said}"' in doubt for doubt in named)
+    assert not any(doubt.startswith("markers: span") for doubt in doubts)

@@ -183,7 +183,6 @@ def test_damaged_containers(form, tmp_path):
 
 
 @pytest.mark.long
-@pytest.mark.prove
 @pytest.mark.parametrize("form", FORMATS, ids=names)
 def test_500_damaged_containers(form, tmp_path):
     assert_some(__file__, form, tmp_path, 500)

@@ -42,7 +42,7 @@ def test_commands_beyond_the_range_of_the_model_are_told(capsys):
 
 
 def test_a_reader_that_stops_early_is_no_error():
-    program = "import sys; from softmap_edge.cli import main; sys.exit(main(['effects', '--json']))"
+    program = "import sys; from softmap_edge.cli import main; sys.exit(main(['model', 'effects', '--json']))"
     reading, writing = os.pipe()
     os.close(reading)
     done = subprocess.run([sys.executable, "-c", program], stdout=writing, stderr=subprocess.PIPE, check=False)
@@ -105,8 +105,8 @@ def standing(path):
     ("verb", "option", "path", "what"),
     [
         (["model", "predict", "8,3"], "--out", "p.txt", "saved as .npz"),
-        (["sweep"], "--out", "s.txt", "saved as .npz"),
-        (["sweep"], "--out", "none/s.npz", "make it first"),
+        (["model", "sweep"], "--out", "s.txt", "saved as .npz"),
+        (["model", "sweep"], "--out", "none/s.npz", "make it first"),
         (["compare", "run.npz"], "--html", "none/r.html", "make it first"),
         (["compare", "run.npz"], "--html", "run.npz", "saved as .html"),
         (["diagnose", "run.npz"], "--out", "run.npz", "saved as .json"),

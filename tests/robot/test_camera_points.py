@@ -208,6 +208,22 @@ def test_what_cannot_be_sent_is_told(points, visible, line):
         sender.send(points, 0.0, visible)
 
 
+@pytest.mark.parametrize(
+    ("points", "stamp", "line"),
+    [
+        (POINTS / 1000, 0.0, "within 0.011 mm of the origin, which looks like metres"),
+        ([[0.0, 0.0, 0.04], [np.nan] * 3, [0.01, 0.0, 0.12]], 0.0, "all 2 points .* looks like metres"),
+        (POINTS * 1000, 0.0, "at most 10000; convert them to mm"),
+        ([[0.0, 0.0, np.inf]], 0.0, "at most 10000; convert them to mm"),
+        (POINTS, float("nan"), "a stamp of nan s"),
+        (POINTS, 1e12, "a stamp of 1000000000000"),
+    ],
+)
+def test_points_that_are_not_in_mm_are_refused_by_their_sender(points, stamp, line):
+    with PointSender("127.0.0.1", 9, KEY) as sender, pytest.raises(LinkError, match=line):
+        sender.send(points, stamp)
+
+
 def test_the_largest_frame_passes():
     with PointReceiver("127.0.0.1", 0) as receiver, PointSender("127.0.0.1", receiver.port) as sender:
         assert met(receiver, sender).send(np.zeros((MOST_POINTS, 3)), 0.0)

@@ -12,6 +12,8 @@ from softmap_edge.model.bundle import builtin_model, save_bundle
 from softmap_edge.robot.emulated.finger import emulated_bench
 from softmap_edge.robot.servo.rig import read_rig
 
+pytestmark = pytest.mark.long
+
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs/do/commission.md").read_text(encoding="utf-8")
 STEPS = ["scan", "setup", "setup", "read", "home", "calibrate", "pull", "limits", "doctor", "move", "move", "track"]

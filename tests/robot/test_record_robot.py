@@ -273,6 +273,7 @@ def test_nothing_hidden_is_diagnosed_as_nothing(tmp_path, commands):
     assert diagnose(model, run).verdict == "nothing"
 
 
+@pytest.mark.long
 def test_hidden_play_is_diagnosed_as_backlash_through_bus_and_camera(tmp_path, commands):
     """Another process is the robot: its bus is a terminal, its camera sends datagrams."""
 

@@ -98,6 +98,7 @@ def tracked(model, laws, folder, name, observe=False):
     return float(told.error.mean()), told.response
 
 
+@pytest.mark.long
 def test_through_the_found_effects_the_error_falls_and_with_feedback_further(model, tmp_path):
     laws = hidden_laws(HIDDEN, 2, 3, 0.6)
     known = found(model, laws)

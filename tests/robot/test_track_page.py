@@ -17,6 +17,8 @@ from softmap_edge.robot.motion.figures import FIGURES
 from softmap_edge.robot.motion.kinematics import METHODS
 from softmap_edge.synthetic.table_two import OURS, PUBLISHED_ERRORS, RIVAL, UNDONE
 
+pytestmark = pytest.mark.long
+
 PAGE = (Path(__file__).parents[2] / "docs/do/track.md").read_text(encoding="utf-8")
 PATH = "{http://www.w3.org/2000/svg}path"
 SHORT = ["--duration", "6"]  # of what moves: the page's own 20 s change nothing else

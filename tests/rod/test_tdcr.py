@@ -16,6 +16,8 @@ from page import ROOT, reader, run_commands
 from benches import tdcr
 from softmap_edge import Robot, learn_model, load_bundle
 
+pytestmark = pytest.mark.long
+
 PAGE = (ROOT / "docs/learn/tdcr.md").read_text(encoding="utf-8")
 ROBOT = ROOT / "examples/tdcr_robot.toml"
 

@@ -19,6 +19,8 @@ from softmap_edge import load_bundle
 from softmap_edge.cli import main
 from softmap_edge.diagnosis.document import VERDICTS
 
+pytestmark = pytest.mark.long
+
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs/learn/own_log.md").read_text(encoding="utf-8")
 BLOCKS = blocks(PAGE)

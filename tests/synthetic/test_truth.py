@@ -205,6 +205,7 @@ def test_camera_noise_has_the_declared_size_and_memory():
 long = pytest.mark.prove  # `hide` itself refuses what moves less or more; every law runs in test_hidden_effects.py
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "name", ["mount", *(pytest.param(name, marks=long) for name in ("backlash", "latency", "payload"))]
 )
@@ -219,6 +220,7 @@ def test_secret_moves_the_centroids_by_what_it_says(name):
     assert rms == pytest.approx(truth.hidden[0].displacement_mm)
 
 
+@pytest.mark.long
 def test_every_frame_is_the_equilibrium_found_on_its_own():
     from softmap_edge.synthetic import finger as truth
     from softmap_edge.synthetic.finger import hide

@@ -11,6 +11,8 @@ pytest.importorskip("torch")
 from softmap_edge import Run, load_bundle
 from softmap_edge.cli import main
 
+pytestmark = pytest.mark.long
+
 PAGE = (Path(__file__).parents[2] / "docs/do/training.md").read_text(encoding="utf-8")
 SHORTER = {
     "sweep": ["--steps", "15"],

@@ -6,10 +6,11 @@ import argparse
 import json
 import shlex
 import warnings
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from softmap_edge.commands.output import check_file, check_no_run, to_stderr
+from softmap_edge.commands.output import check_file, check_no_run, to_stderr, with_files
 from softmap_edge.commands.parser import Action, add_actions
 from softmap_edge.commands.servo.calibrate import calibrate_bench, calibrate_bench_arguments
 from softmap_edge.commands.servo.emulate import emulate, emulate_arguments
@@ -23,7 +24,6 @@ from softmap_edge.robot.commissioning import setup
 from softmap_edge.robot.commissioning.rig_entry import changes, entered, entry_of
 from softmap_edge.robot.control.recording import read_recording
 from softmap_edge.robot.drive.recorded import run_of
-from softmap_edge.robot.remedies import with_files
 from softmap_edge.robot.servo import status_words as words
 from softmap_edge.robot.servo.bus import opened, ports, release
 from softmap_edge.robot.servo.conditions import unfit
@@ -272,6 +272,16 @@ def servo(args: argparse.Namespace) -> int:
     return ACTIONS[args.what][2](args)
 
 
+@dataclass(frozen=True)
+class ReplayOptions:
+    """Options of `softmap servo replay`, as its parser declares them."""
+
+    recording: str
+    run: str | None
+    force: bool
+    json: bool
+
+
 def replay_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `replay`."""
     parser.add_argument("recording", help="what the control loop recorded (.mcap)")
@@ -279,7 +289,7 @@ def replay_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--force", action="store_true", help="replace the run that stands there")
 
 
-def replay(args: argparse.Namespace) -> int:
+def replay(args: ReplayOptions) -> int:
     """Let the guard decide a recording again; 1 if it decides otherwise anywhere, or the recording is not whole."""
     check_file("--run", args.run, ".npz")
     check_no_run("--run", args.run, args.force)

@@ -5,9 +5,9 @@ from __future__ import annotations
 import argparse
 import json
 
+from softmap_edge.commands.output import with_files
 from softmap_edge.commands.own import effects_argument, load_own, open_model
 from softmap_edge.errors import ServoError
-from softmap_edge.robot.remedies import with_files
 from softmap_edge.robot.servo.limits import effective_limits
 from softmap_edge.robot.servo.loop_limits import RATE
 from softmap_edge.robot.servo.rig import read_rig

@@ -12,7 +12,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -63,14 +62,14 @@ class ArrayColumns:
         first = {len(self.columns[k]): self.names[k] for k in reversed(asked)}
         return " and ".join(f"{name[:40]} has {length} rows" for length, name in list(first.items())[:3])
 
-    def _labels(self, label: int, rows: int | None) -> NDArray[Any]:
+    def _labels(self, label: int, rows: int | None) -> NDArray[np.generic]:
         texts = self.texts.get(label)
         return np.array([f"{x:g}" for x in self.columns[label][:rows]] if texts is None else texts[:rows])
 
 
 def columns_of_arrays(
     path: Path,
-    arrays: Mapping[str, NDArray[Any]],
+    arrays: Mapping[str, NDArray[np.generic]],
     texts: Mapping[str, list[str]] | None = None,
     labels: Mapping[str, Sequence[str]] | None = None,
     notes: Sequence[str] = (),
@@ -115,13 +114,13 @@ def columns_of_arrays(
     return ArrayColumns(path, names, columns, held, notes=tuple(remarks))
 
 
-def _vector_lengths(arrays: Mapping[str, NDArray[Any]], texts: Mapping[str, list[str]]) -> set[int]:
+def _vector_lengths(arrays: Mapping[str, NDArray[np.generic]], texts: Mapping[str, list[str]]) -> set[int]:
     """Return the lengths of the vectors of a file: times, single channels and labels."""
     vectors = [array.size for array in arrays.values() if array.size > 1 and array.size == max(array.shape)]
     return {*vectors, *(len(column) for column in texts.values())}
 
 
-def _rows_first(array: NDArray[np.generic], usual: set[int]) -> tuple[NDArray[Any] | None, int]:
+def _rows_first(array: NDArray[np.generic], usual: set[int]) -> tuple[NDArray[np.generic] | None, int]:
     """Return an array with its rows along the first axis, and the axis along which they were."""
     if array.size > 1 and array.size == max(array.shape):  # a vector, whatever its shape
         return array.reshape(-1), 0

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +26,7 @@ class Cells:
     """
 
     numbers: Array
-    labels: NDArray[Any] | None
+    labels: NDArray[np.generic] | None
     lines: NDArray[np.int64]
     notes: tuple[str, ...] = ()
     rows: NDArray[np.int64] | None = None

@@ -26,8 +26,10 @@ def several_topics(path: Path, types: Mapping[str, str]) -> RunError:
 
 
 def no_message(path: Path, topic: str, there: Iterable[str]) -> RunError:
-    """Return the error that a recording holds no message of a topic, with the topics that are `there`."""
-    listed = ", ".join(sorted(there))[:200] or "none"
+    """Return the error that a recording holds no message of a topic, with the topics that have messages."""
+    listed = ", ".join(sorted(there))[:200]
+    if not listed:
+        return RunError(f"{path}: holds no message of any topic; give the recording of a run")
     return RunError(f"{path}: no message of topic {topic[:60]}; there are {listed}; change `topic` in the mapping")
 
 

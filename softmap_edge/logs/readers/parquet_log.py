@@ -117,7 +117,7 @@ class _Gathered:
 
     def __init__(self, path: Path, names: list[str], episode: int | None) -> None:
         self.path, self.names, self.episode = path, names, episode
-        self.parts: dict[str, list[NDArray[Any]]] = {name: [] for name in names}
+        self.parts: dict[str, list[NDArray[np.generic]]] = {name: [] for name in names}
         self.left_out: list[str] = []
         self.seen: set[int] = set()  # episodes
         self.ragged: set[str] = set()
@@ -193,7 +193,7 @@ def _is_read(pyarrow: Any, kind: Any) -> bool:
     return bool(numbers or times or types.is_string(kind) or types.is_large_string(kind))
 
 
-def _values(pyarrow: Any, column: Any) -> NDArray[Any] | None:
+def _values(pyarrow: Any, column: Any) -> NDArray[np.generic] | None:
     """Return a column as an array: (rows,), or (rows, elements) of lists; None of lists of different lengths."""
     types = pyarrow.types
     kind = column.type

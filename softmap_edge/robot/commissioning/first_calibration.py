@@ -11,12 +11,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.errors import CalibrationError, ServoError
+from softmap_edge.files.atomic import Document
 from softmap_edge.model.model import Model
 from softmap_edge.model.servo_calibration import TURN, Calibration
 from softmap_edge.robot.commissioning.home import NEAR
@@ -131,9 +131,9 @@ def _expected(model: Model, share: float, at_home: float) -> dict[str, float]:
     return {"command": command, "shape_mm": shape, "matched_shape_mm": 0.0}
 
 
-def document(found: Calibration, model: Model, warnings: Sequence[str]) -> dict[str, Any]:
+def document(found: Calibration, model: Model, warnings: Sequence[str]) -> Document:
     """Return softmap.calibration/1 as `softmap model calibrate` prints it; there are no matched pairs."""
-    matched: dict[str, Any] = {"ticks": [], "command": [], "frames": [], "weight": [], "mae_mm": None}
+    matched: Document = {"ticks": [], "command": [], "frames": [], "weight": [], "mae_mm": None}
     return found.to_dict() | {
         "affine": True,
         "departures": [],

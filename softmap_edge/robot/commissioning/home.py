@@ -10,13 +10,13 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge import _core
 from softmap_edge.errors import ServoError
+from softmap_edge.files.atomic import Document
 from softmap_edge.model.servo_calibration import TURN
 from softmap_edge.robot.commissioning.jog import most_travel
 from softmap_edge.robot.servo.bus import heard, opened
@@ -47,7 +47,7 @@ class Homed:
             lines.append(f"servo {servo.id}: home at {servo.home} ({how})")
         return "\n".join(lines)
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> Document:
         """Return the document softmap.home/1."""
         servos = [
             {"id": one.id, "home": one.home, "away_ticks": away, "turns": turns, "first": one.id in self.first}

@@ -12,12 +12,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from types import TracebackType
-from typing import Any, Literal, Protocol, Self, cast
+from typing import Literal, Protocol, Self, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.errors import GuardStopped, ServoError
+from softmap_edge.files.atomic import Document
 from softmap_edge.model.servo_calibration import Calibration
 from softmap_edge.robot.control.controller import Controller
 from softmap_edge.robot.control.emergency_key import PRESSED
@@ -268,7 +269,7 @@ def _servos(rig: Rig) -> list[ServoLimits]:
                 high = FARTHEST - servo.home if high is None else high
                 limits = servo_limits(servo.model, servo.home, (low, high))
             own = strongest(servo_model(servo.model))
-            values = cast(dict[str, Any], limits)
+            values = cast(Document, limits)
             values |= {name: allowed[0] for name in ("slew", "acceleration", "following") if (allowed := bench(name))}
             values |= {name: min(values[name], end[0]) for name in ("warm", "hot") if (end := bench(name))}
             values["current"] = min(own, (bench("current_mA") or (values["current"],))[0])

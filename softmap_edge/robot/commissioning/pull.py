@@ -14,13 +14,13 @@ from bisect import bisect_right
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge import _core
 from softmap_edge.errors import ServoError
+from softmap_edge.files.atomic import Document
 from softmap_edge.robot.commissioning.jog import EVERY, Deadman, Jog, most_travel
 from softmap_edge.robot.servo import status_words as words
 from softmap_edge.robot.servo.bus import opened
@@ -65,7 +65,7 @@ class Pulled:
     legs: tuple[Leg, Leg]
     ceiling_mA: float
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> Document:
         """Return it as a document."""
         legs = [
             {"stroke_ticks": leg.stroke, "reached_ticks": leg.reached, "mA": leg.mA, "read": leg.read.tolist()}

@@ -9,10 +9,10 @@ from __future__ import annotations
 import time
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Any
 
 from softmap_edge import _core
 from softmap_edge.errors import NoAnswer, ServoError
+from softmap_edge.files.atomic import Document
 from softmap_edge.robot.servo.bus import heard, kept_torque, opened, pinged
 from softmap_edge.robot.servo.home_mark import set_mark
 from softmap_edge.robot.servo.known_state import hardware
@@ -39,7 +39,7 @@ class Restarted:
             "are lost"
         )
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> Document:
         """Return the document softmap.restarted/1."""
         said = hardware(self.reported)
         return {"schema": "softmap.restarted/1", "port": self.port, "baud": self.baud, "id": self.id, "reported": said}

@@ -8,13 +8,11 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any
 
 from softmap_edge import _core
 from softmap_edge.errors import RunError, SoftmapError
+from softmap_edge.files.atomic import Document
 from softmap_edge.robot.control.recording import LOOP, SETUP
-
-Document = dict[str, Any]
 
 
 class Following:

@@ -17,12 +17,12 @@ from numpy.typing import NDArray
 
 from softmap_edge import _core
 from softmap_edge.errors import CalibrationError, RunError, SoftmapError
+from softmap_edge.files.atomic import Document
 from softmap_edge.model.servo_calibration import Calibration
 from softmap_edge.robot.control.recording_damage import find_shortfall
 from softmap_edge.robot.servo.loop_types import BusCounts, LoopLimits, LoopReport, bus_counts
 from softmap_edge.run.run import CALIBRATION, Run
 
-Document = dict[str, Any]
 SETUP, LOOP = "/setup", "/loop"
 FARTHEST = 2.0**31  # ticks: what a servo's register of its position holds
 
@@ -126,7 +126,7 @@ class Recording:
             extra=self._about(),
         )
 
-    def _about(self) -> dict[str, NDArray[Any]]:
+    def _about(self) -> dict[str, NDArray[np.generic]]:
         """Return the field of a run with the map that was driven with."""
         known = self.setup.get("calibration")
         return {} if known is None else {CALIBRATION: np.array(json.dumps(known))}

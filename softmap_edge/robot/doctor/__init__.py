@@ -12,8 +12,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
 
+from softmap_edge.files.atomic import Document
 from softmap_edge.robot.finding import FAULT, OK, WARNING, Line
 from softmap_edge.robot.remedies import filled
 from softmap_edge.version import __version__
@@ -37,7 +37,7 @@ class Examined:
         told = ", ".join(f"{n} {state}{'s' if n != 1 and state != OK else ''}" for state, n in count.items())
         return "\n".join([*map(str, self.lines), told])
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> Document:
         """Return the document softmap.doctor/1."""
         lines = [asdict(line) for line in self.lines]
         return {"schema": "softmap.doctor/1", "softmap": __version__, "well": self.well, "lines": lines}

@@ -28,6 +28,7 @@ from typing import Any, BinaryIO, Self
 import numpy as np
 
 from softmap_edge.errors import RecordingBroken, RunError
+from softmap_edge.files.atomic import Document
 from softmap_edge.model.model import Model
 from softmap_edge.robot.link.frames import Frame, HostClock, Seen
 
@@ -84,7 +85,7 @@ class Keeper:
 
     def __init__(self, file: Path, late: float, model: Model) -> None:
         self.fault: str | None = None
-        self._lines: queue.SimpleQueue[dict[str, Any] | None] = queue.SimpleQueue()
+        self._lines: queue.SimpleQueue[Document | None] = queue.SimpleQueue()
         head = {"schema": SCHEMA, "late": late, "robot": model.robot, "vertices": vertices_of(model)}
         self._lines.put(head)
         try:
@@ -237,7 +238,7 @@ def _read_lines(lines: BinaryIO, kept: Kept, checked: bool, file: Path, ends: bo
     kept.lacks = "; ".join(parts) or None
 
 
-def _document(clock: Sequence[Pair], taken: Sequence[tuple[int, Frame]], came: Sequence[Frame]) -> dict[str, Any]:
+def _document(clock: Sequence[Pair], taken: Sequence[tuple[int, Frame]], came: Sequence[Frame]) -> Document:
     """Return what a line holds, as plain numbers that are read back to the last digit.
 
     Raises:

@@ -7,13 +7,13 @@ tests/robot/test_track.py.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge import _core
+from softmap_edge.files.atomic import Document
 
 Floats = NDArray[np.float64]
 
@@ -47,7 +47,7 @@ def fit_response(t: Floats, goal: Floats, position: Floats) -> tuple[float, floa
     return float(middle[0]), float(middle[1])
 
 
-def response_of(periods: Sequence[Mapping[str, Any]]) -> tuple[float, float] | None:
+def response_of(periods: Sequence[Document]) -> tuple[float, float] | None:
     """Return delay and lag of the servos from periods of a recording in which goals were sent and all were heard."""
     whole = [p for p in periods if p["torque"] and None not in p["goal"] and None not in p["position"]]
     if len(whole) < 50:

@@ -12,12 +12,13 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.errors import SoftmapError
+from softmap_edge.files.atomic import Document
 from softmap_edge.model.servo_calibration import Calibration
 from softmap_edge.robot.control.controller import Controller
 from softmap_edge.robot.control.recording import read_recording
@@ -180,7 +181,7 @@ def track(
     return _judged(kinematics, course, frames, begun, told, late)
 
 
-def spread(error: Floats) -> dict[str, Any]:
+def spread(error: Floats) -> Document:
     """Return mean, standard deviation, largest and number of errors, as documents have them."""
     return {"mean": float(error.mean()), "sd": float(error.std()), "max": float(error.max()), "n": len(error)}
 

@@ -29,6 +29,7 @@ MARK, OFFER_MARK = b"SMP1", b"SMQ1"
 _HEAD = struct.Struct("<4sHH16sQd")
 MOST_POINTS = 5000  # what one datagram carries
 FARTHEST = 1e4  # mm
+NEAREST = 1.0  # mm: a robot whose points all lie nearer to the origin is one in metres
 JUMP = 2.0  # s by which a sender's clock may leave ours between two frames before it counts as a new clock
 LATEST = 1e10  # s: three hundred years; beyond, stamps of two frames are no two numbers any more
 KEPT = 9000  # frames: five minutes
@@ -88,7 +89,7 @@ class PointSender(Sender):
             visible: (N,) bool.
 
         Raises:
-            LinkError: points that are none, or too many of them.
+            LinkError: points that are none, too many of them, or not in mm; a stamp that is none.
         """
         now = np.array(points, np.float32)
         if now.ndim != 2 or now.shape[1:] != (3,) or not 1 <= len(now) <= MOST_POINTS:
@@ -98,7 +99,19 @@ class PointSender(Sender):
             if shown.shape != now.shape[:1]:
                 raise LinkError(f"visible of shape {shown.shape}, expected ({len(now)},) for {len(now)} points")
             now[~shown] = np.nan
+        size = np.abs(now[~np.isnan(now).any(axis=1)])
+        if size.size and size.max() > FARTHEST:
+            raise LinkError(
+                f"points up to {size.max():.4g} mm from the origin, at most {FARTHEST:g} mm; convert them to mm"
+            )
+        if len(size) > 1 and 0 < size.max() < NEAREST:
+            raise LinkError(
+                f"all {len(size)} points lie within {size.max():.3g} mm of the origin, which looks like metres; "
+                "multiply by 1000"
+            )
         stamp = time.monotonic() if stamp is None else float(stamp)
+        if not abs(stamp) <= LATEST:
+            raise LinkError(f"a stamp of {stamp} s; give a time of at most {LATEST:g} s")
         return self._put(packed(Message(now, stamp, *self._next()), self._key))
 
 

@@ -13,13 +13,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from softmap_edge import _core
 from softmap_edge.errors import SoftmapError
+from softmap_edge.files.atomic import Document
 from softmap_edge.model.chain_labels import valued
 from softmap_edge.model.model import Model
 from softmap_edge.model.predictors import tip
@@ -110,7 +110,7 @@ class Kinematics:
         low, high = self.bounds.T
         return _core.Inverse(self.model.chain, self.model.chain_params, low.tolist(), high.tolist(), *self._world)
 
-    def document(self) -> dict[str, Any] | None:
+    def document(self) -> Document | None:
         """Return what the control loop needs to undo the effects, None where there are none to undo."""
         if not self.model.chain_names:
             return None

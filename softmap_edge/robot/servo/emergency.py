@@ -12,9 +12,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from softmap_edge.errors import ServoError
+from softmap_edge.files.atomic import Document
 from softmap_edge.files.toml import TomlTable, quoted
 
 TIMEOUT = 0.2  # s: some beats of the usual fifty a second may be lost
@@ -57,7 +57,7 @@ class Emergency:
             said.append(f"no heartbeat at UDP port {self.udp.port} for {self.udp.timeout:g} s")
         return ", or ".join(said) or "none"
 
-    def setup(self) -> dict[str, Any]:
+    def setup(self) -> Document:
         """Return what the loop's process is told; never the key itself."""
         gpio, udp = self.gpio, self.udp
         return {

@@ -14,9 +14,9 @@ import math
 import shlex
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 from softmap_edge import _core
+from softmap_edge.files.atomic import Document
 from softmap_edge.robot.servo.models import ServoModel, numbered
 
 CLEAR = 42  # firmware below which a tripped watchdog lets the motor run on, in mode 4 with a homing offset
@@ -216,7 +216,7 @@ def _steps(model: ServoModel, slew: float) -> int:
     return math.ceil(share * int(model["velocity_limit"]) - 1e-9)
 
 
-def gains_of(rig_made: Mapping[str, Mapping[str, Any]], id: int) -> tuple[int, ...]:
+def gains_of(rig_made: Mapping[str, Document], id: int) -> tuple[int, ...]:
     """Return the gains of a servo at set-up, from `[made]` of its rig; empty if they are not known."""
     kept = rig_made.get(SET_UP, {}).get(f"servo_{id}", [])
     whole = isinstance(kept, list) and len(kept) == len(GAINS)

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from softmap_edge import _core
 from softmap_edge.errors import LimitError, ServoError
+from softmap_edge.files.atomic import Document
 from softmap_edge.model.model import Model
 from softmap_edge.model.safety import Safety, derived, held_to
 from softmap_edge.model.servo_calibration import TURN, Calibration
@@ -48,7 +49,7 @@ class Limit:
     by: str
     why: str = ""
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> Document:
         """Return it as a document."""
         return {"name": self.name, "value": self.value, "unit": self.unit, "by": self.by, "why": self.why}
 
@@ -110,7 +111,7 @@ class EffectiveLimits:
                 limits.append(limit)
         return limits
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> Document:
         """Return the document softmap.limits/1."""
         return {
             "schema": "softmap.limits/1",

@@ -10,11 +10,10 @@ import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 from softmap_edge import _core
 from softmap_edge.errors import ServoError, SoftmapError
-from softmap_edge.files.atomic import MOST_TEXT, write_atomically
+from softmap_edge.files.atomic import MOST_TEXT, Document, write_atomically
 from softmap_edge.files.toml import TomlTable, quoted, written
 from softmap_edge.robot.servo.clock import REAL_TIME, Clock
 from softmap_edge.robot.servo.emergency import Emergency, read_emergency
@@ -59,7 +58,7 @@ class Rig:
     servos: tuple[RigServo, ...]
     ceiling: Ceiling = Ceiling()
     emergency: Emergency = Emergency()
-    made: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    made: Mapping[str, Document] = field(default_factory=dict)
     time: Clock = field(default=REAL_TIME, compare=False, repr=False)
     file: str | None = field(default=None, compare=False, repr=False)
 
@@ -177,7 +176,7 @@ def _whole(bounds: tuple[float, float]) -> tuple[int, int]:
     return int(bounds[0]), int(bounds[1])
 
 
-def _found(table: TomlTable) -> dict[str, Any]:
+def _found(table: TomlTable) -> Document:
     """Return how something was found: texts, numbers and lists of them."""
     for key, value in table.values.items():
         each = value if isinstance(value, list) else [value]

@@ -8,11 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 from softmap_edge import _core
 from softmap_edge.errors import ServoError
+from softmap_edge.files.atomic import Document
 from softmap_edge.files.toml import TomlTable
+from softmap_edge.robot.servo.loop_types import LoopLimits
 
 if TYPE_CHECKING:
     from softmap_edge.robot.servo.rig import Rig
@@ -73,7 +75,7 @@ def read_ceiling(table: TomlTable) -> Ceiling:
     return ceiling
 
 
-def check_bench(rig: Rig, limits: Mapping[str, Any]) -> None:
+def check_bench(rig: Rig, limits: LoopLimits) -> None:
     """Refuse limits of a robot that its bench does not allow.
 
     Raises:
@@ -87,7 +89,7 @@ def check_bench(rig: Rig, limits: Mapping[str, Any]) -> None:
                 f"servo {servo.id}: the limits are about home at {home}, the rig's is {servo.home}; make the limits of "
                 "the rig (`combined`, or `servo_limits` with its home)"
             )
-    for where, name, value, most in _both(rig, limits):
+    for where, name, value, most in _both(rig, cast(Document, limits)):
         pairs = zip(value, most) if isinstance(value, (list, tuple)) else [(value, most)]
         for one, end in pairs:
             if one is not None and (one < end if name in AT_LEAST else one > end):
@@ -97,7 +99,7 @@ def check_bench(rig: Rig, limits: Mapping[str, Any]) -> None:
                 )
 
 
-def _both(rig: Rig, limits: Mapping[str, Any]) -> Iterator[tuple[str, str, Any, Any]]:
+def _both(rig: Rig, limits: Document) -> Iterator[tuple[str, str, Any, Any]]:
     """Give each limit that the bench sets: of which servo, its name, its value and the ceiling."""
     for name in RANGES:
         most = rig.ceiling.get(name)

@@ -15,6 +15,7 @@ from tomlkit.container import Container
 from tomlkit.exceptions import TOMLKitError
 from tomlkit.items import Array, InlineTable, Item, Table
 
+from softmap_edge.files.atomic import Document
 from softmap_edge.files.toml import written
 
 TOP = ("port", "baud")
@@ -45,7 +46,7 @@ def edited(old: str, new: str, kept: Sequence[str]) -> str:
         return new
 
 
-def _merged(old: Mapping[str, object], new: Mapping[str, object], kept: Sequence[str]) -> dict[str, Any]:
+def _merged(old: Mapping[str, object], new: Mapping[str, object], kept: Sequence[str]) -> Document:
     """Return a servo's table: the findings, and the keys that its user added."""
     return dict(new) | {key: value for key, value in old.items() if key not in new and key not in kept}
 

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.errors import ServoError
+from softmap_edge.files.atomic import Document
 from softmap_edge.robot.control.controller import Controller
 from softmap_edge.robot.motion.kinematics import Kinematics
 from softmap_edge.robot.servo import status_words as words
@@ -54,7 +55,7 @@ class DriveSummary:
     ended: str = ""
     failed: bool = False
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> Document:
         """Return it as the document's entries."""
         ms = 1e3 * np.array(self.latency or [np.nan])
         several = len(self.latency) > 0

@@ -33,10 +33,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.errors import TeleopError
+from softmap_edge.files.atomic import Document
 from softmap_edge.robot.teleop.keys import GRAVEST, Controls, HeldKey, Source, Wish
 
 Floats = NDArray[np.float64]
-View = Callable[[], tuple[dict[str, Any], Floats | None, tuple[int, NDArray[np.uint8]] | None]]
+View = Callable[[], tuple[Document, Floats | None, tuple[int, NDArray[np.uint8]] | None]]
 
 PORT = 8765
 OFTEN = 1 / 30  # s between two states that a page is sent
@@ -90,7 +91,7 @@ class Page:
         self._driver: object | None = None
         self._pages: set[object] = set()
         self._lock = threading.Lock()
-        self._hello: dict[str, Any] = {}
+        self._hello: Document = {}
         self._view: View | None = None
         self._encoded: tuple[int, bytes] = (-1, b"")
         self._opening = threading.BoundedSemaphore(MOST_OPENING)
@@ -130,7 +131,7 @@ class Page:
 
     # --- what the driving thread asks and tells -----------------------------------------
 
-    def shows(self, hello: dict[str, Any], view: View) -> None:
+    def shows(self, hello: Document, view: View) -> None:
         """Set what a page is told when it comes, and what is asked for each state: the state, points, a picture."""
         self._hello, self._view = hello, view
 
@@ -199,7 +200,7 @@ class Page:
         finally:
             self._stand(connection)
 
-    def _hear(self, said: dict[str, Any], now: float, age: float) -> None:
+    def _hear(self, said: Document, now: float, age: float) -> None:
         wish = said.get("do")
         if wish in GRAVEST:
             self._wish.ask(wish)
@@ -336,7 +337,7 @@ def _answer(connection: Any, status: int, body: bytes, kind: str = "text/plain",
     return response
 
 
-def _read(message: str | bytes) -> dict[str, Any] | None:
+def _read(message: str | bytes) -> Document | None:
     """Return a page's message if it is one: `{t, held, source, knob, shown, do?}`."""
     try:
         if not isinstance(message, str):
@@ -353,7 +354,7 @@ def _read(message: str | bytes) -> dict[str, Any] | None:
         if said.get("do") not in (None, "take", "stop", "emergency", "acknowledge"):
             return None
         x, y = (min(max(float(at), -1.0), 1.0) for at in knob)
-        known: dict[str, Any] = said
+        known: Document = said
         return known | {"knob": (x, y), "t": float(t)}
     except (ValueError, KeyError, TypeError, RecursionError, OverflowError):
         return None

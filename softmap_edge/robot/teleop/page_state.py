@@ -5,11 +5,11 @@ from __future__ import annotations
 
 import threading
 from collections import deque
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from softmap_edge.files.atomic import Document
 from softmap_edge.model.model import Model
 from softmap_edge.robot.servo import status_words as words
 from softmap_edge.robot.teleop.drive import DriveState
@@ -30,9 +30,7 @@ class PageState:
         model: that is drawn. aim, eyes: as they drive. sketch: the finger. about: what else a page is told once.
     """
 
-    def __init__(
-        self, model: Model, aim: HandMapping, eyes: HandSource, sketch: ShapePreview, about: dict[str, Any]
-    ) -> None:
+    def __init__(self, model: Model, aim: HandMapping, eyes: HandSource, sketch: ShapePreview, about: Document) -> None:
         self._aim, self._eyes, self._sketch = aim, eyes, sketch
         self._moment: DriveState | None = None
         self._ages: deque[float] = deque(maxlen=AVERAGED)
@@ -61,7 +59,7 @@ class PageState:
             self._last = moment.sight.t
             self._ages.append(moment.t - moment.sight.t)
 
-    def view(self) -> tuple[dict[str, Any], Floats | None, tuple[int, NDArray[np.uint8]] | None]:
+    def view(self) -> tuple[Document, Floats | None, tuple[int, NDArray[np.uint8]] | None]:
         """Return the state, the finger's points and the newest picture."""
         moment = self._moment
         if moment is None:

@@ -8,8 +8,8 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
-from typing import Any
 
+from softmap_edge.files.atomic import Document
 from softmap_edge.robot.teleop.hand_source import SEEN, HandSource
 from softmap_edge.robot.teleop.keys import Input
 from softmap_edge.robot.teleop.landmarks import Message, Sender
@@ -26,7 +26,7 @@ class Sent:
     ended: str = ""
     failed: bool = False
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> Document:
         """Return it as the document's entries."""
         return asdict(self)
 
