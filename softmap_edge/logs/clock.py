@@ -31,7 +31,7 @@ from softmap_edge.logs.time_text import DAY, HOUR
 FEW = 0.05  # of the rows: the most that may be left out without a warning
 _REGULAR = 0.2  # of the usual step: bound on the jitter of a clock
 _SLOWEST = 3.0  # times the 95th percentile of the steps: the longest step that a roll-over may leave
-_BITS = (16, 24, 32)
+BITS = (16, 24, 32)  # of counters that roll over
 _LISTED = 5  # steps of a clock that are named one by one
 
 
@@ -202,12 +202,12 @@ def find_jump(t: Array, clock: Clock) -> Jump | None:
 def _periods(clock: Clock) -> list[tuple[float, str, bool]]:
     """Return the periods of roll-overs: s, text, and whether the calendar sets them."""
     found = (
-        [(2.0**bits * clock.seconds, f"2^{bits} counts") for bits in (8, *_BITS)]
+        [(2.0**bits * clock.seconds, f"2^{bits} counts") for bits in (8, *BITS)]
         if clock.seconds not in TIME.values()
         else []
     )
     for unit in ("us", "ms", "ns", "s"):
-        found += [(2.0**bits * TIME[unit], f"2^{bits} {unit}") for bits in _BITS]
+        found += [(2.0**bits * TIME[unit], f"2^{bits} {unit}") for bits in BITS]
     counted = [(period, words, False) for period, words in found]
     calendar = ((1.0, "the full second"), (60.0, "the full minute"), (HOUR, "the full hour"), (DAY, "midnight"))
     return counted + [(period, words, True) for period, words in calendar]

@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 
 from softmap_edge.logs.goals import is_goal
 from softmap_edge.logs.guess_columns import Role, Sheet
+from softmap_edge.logs.quaternion import is_unit_quaternion
 from softmap_edge.logs.triples import LeftOut
 
 Array = NDArray[np.float64]
 Pair = tuple[Sheet, Role]
-_UNIT = 1e-2  # of the length of a quaternion
 _AXIS = re.compile(r"[xyz]")
 
 
@@ -68,7 +68,4 @@ def _no_drive(sheet: Sheet, role: Role) -> str | None:
 
 def _quaternion(rows: Array) -> bool:
     """Whether columns (rows, 4) are unit quaternions that turn."""
-    known = rows[np.isfinite(rows).all(axis=1)]
-    if rows.shape[1] != 4 or len(known) < 2 or not np.ptp(known, axis=0).any():
-        return False
-    return bool((np.abs(np.linalg.norm(known, axis=1) - 1.0) < _UNIT).all())
+    return is_unit_quaternion(rows) and bool(np.ptp(rows[np.isfinite(rows).all(axis=1)], axis=0).any())

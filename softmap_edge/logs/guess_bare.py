@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.logs.guess_columns import Sheet
+from softmap_edge.logs.quaternion import is_unit_quaternion
 
 Array = NDArray[np.float64]
-_UNIT = 1e-2  # of the length of a quaternion
 _SMOOTH = 0.35  # of the spread of a column: the usual step between rows
 _STEADY = 0.34  # of the distance from the origin: how far it may change
 
@@ -26,7 +26,7 @@ def places_by_value(sheet: Sheet, spent: set[str]) -> list[list[str]]:
         spent: columns that hold something else: time, text.
     """
     free = [name for name in sheet.names if name not in spent and name not in sheet.texts]
-    posed = [free[k : k + 3] for k in range(len(free) - 6) if _quaternion(sheet.rows_of(free[k + 3 : k + 7]))]
+    posed = [free[k : k + 3] for k in range(len(free) - 6) if is_unit_quaternion(sheet.rows_of(free[k + 3 : k + 7]))]
     posed = [triple for triple in posed if np.isfinite(sheet.rows_of(triple)).all(axis=1).any()]
     if posed:
         return [triple for triple in posed if not any(_quaternion_part(sheet, name, free) for name in triple)]
@@ -48,15 +48,10 @@ def _varies(values: Array) -> bool:
     return len(known) > 1 and float(np.ptp(known)) > 0
 
 
-def _quaternion(rows: Array) -> bool:
-    """Whether four columns (rows, 4) are unit quaternions."""
-    known = rows[np.isfinite(rows).all(axis=1)]
-    return len(known) > 1 and bool((np.abs(np.linalg.norm(known, axis=1) - 1.0) < _UNIT).all())
-
-
 def _quaternion_part(sheet: Sheet, name: str, free: list[str]) -> bool:
     k = free.index(name)
-    return any(_quaternion(sheet.rows_of(free[j : j + 4])) for j in range(max(0, k - 3), k + 1) if j + 4 <= len(free))
+    starts = range(max(0, k - 3), min(k, len(free) - 4) + 1)
+    return any(is_unit_quaternion(sheet.rows_of(free[j : j + 4])) for j in starts)
 
 
 def _is_place(rows: Array) -> bool:

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from softmap_edge.errors import RunError
 from softmap_edge.logs.fills import LARGEST
 from softmap_edge.logs.mapping import LENGTH, UNITS
+from softmap_edge.logs.numbered import without_numbers
 from softmap_edge.logs.plausible import ROBOT
 from softmap_edge.logs.readers.arrays import ArrayColumns
 from softmap_edge.logs.readers.columns import Columns, HeldColumns
@@ -276,7 +277,7 @@ def roles_of(sheet: Sheet, spent: set[str]) -> list[Role]:
         if name not in spent and name not in sheet.texts and np.isfinite(sheet.column(name)).any():
             plain = re.sub(r"[(\[{](\d+)[)\]}]$", r"\1", name)
             stem = re.sub(r"\[[^\]]*\]$", "[#]", name) if sheet.indexed else plain
-            stem = re.sub(r"(^|_)([a-dx-z]|left|right|up|down)(?=_|$)", "_#", re.sub(r"\d+", "#", stem.lower()))
+            stem = re.sub(r"(^|_)([a-dx-z]|left|right|up|down)(?=_|$)", "_#", without_numbers(stem.lower()))
             groups.setdefault(stem, []).append(name)
     roles: list[tuple[int, Role]] = []
     for stem, names in _by_publisher(sheet, groups):

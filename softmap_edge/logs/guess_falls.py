@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.files.printable import listed
-from softmap_edge.logs.clock import increasing
+from softmap_edge.logs.clock import BITS, increasing
 from softmap_edge.logs.set_clock import Jump, usual_step
 from softmap_edge.logs.time_keys import TIME
 
@@ -22,7 +22,6 @@ Array = NDArray[np.float64]
 _LOST = 0.3  # of the rows: more, and leaving them out does not read the log
 _SAME = 3.0  # usual steps: times so near are the same start
 _LISTED = 5  # steps that are named
-_BITS = (16, 24, 32)
 _NEAR = 9.0  # usual steps: how near to its period a counter rolls over
 
 
@@ -102,7 +101,7 @@ def counts_of_roll(values: Array, usual: float) -> tuple[str, str] | None:
     fall = fall[fall > 0]
     if not len(fall):
         return None
-    for bits in _BITS:
+    for bits in BITS:
         left = 2.0**bits - fall
         rolls = bool(((left > 0) & (left <= _NEAR * usual)).all()) and float(values.max()) <= 2.0**bits
         unit = next((unit for unit in ("s", "ms", "us", "ns") if 2e-4 <= usual * TIME[unit] < 5.0), None)

@@ -9,7 +9,6 @@ from __future__ import annotations
 import fnmatch
 import glob
 import os
-import re
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -17,6 +16,7 @@ import numpy as np
 
 from softmap_edge.logs.guess_columns import ROWS, Sheet
 from softmap_edge.logs.guess_time import TimeFound, time_of
+from softmap_edge.logs.numbered import without_numbers
 
 
 def joined_parts(sheets: Sequence[Sheet]) -> tuple[list[Sheet], list[str], list[str]]:
@@ -95,7 +95,7 @@ def _one(group: Sequence[Sheet], others: Sequence[str]) -> Sheet:
 
 def _pattern(names: Sequence[str], others: Sequence[str]) -> str | None:
     """Return a pattern that fits some names of files and none of the others; None if there is none."""
-    by_number = {re.sub(r"\d+", "*", glob.escape(name)) for name in names}
+    by_number = {without_numbers(glob.escape(name), "*") for name in names}
     start = os.path.commonprefix(list(names))
     end = os.path.commonprefix([name[len(start) :][::-1] for name in names])[::-1]
     patterns: list[str] = list(by_number) if len(by_number) == 1 else []

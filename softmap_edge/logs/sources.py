@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import fnmatch
 import glob
-import re
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
@@ -19,6 +18,7 @@ import numpy as np
 
 from softmap_edge.errors import RunError
 from softmap_edge.logs.mapping import Log, Mapping
+from softmap_edge.logs.numbered import without_numbers
 from softmap_edge.logs.readers.columns import Columns
 from softmap_edge.logs.readers.kinds import ARRAYS, PACKED, RECORDINGS, kind_of
 from softmap_edge.logs.readers.mcap_file import Topic, open_mcap, topics
@@ -201,7 +201,7 @@ def groups_of(parts: Sequence[Part]) -> list[list[Part]]:
     for part in parts:
         key = ("folder", str(part.given)) if part.of_folder else ("file", str(part.path))
         if not part.of_folder and part.kind in RECORDINGS:
-            key = ("parts", re.sub(r"\d+", "#", str(part.path)))
+            key = ("parts", without_numbers(str(part.path)))
         found.setdefault(key, []).append(part)
     return list(found.values())
 
@@ -211,7 +211,7 @@ def pattern_of(group: Sequence[Part]) -> str:
     first = group[0]
     if first.of_folder or len(group) == 1:
         return glob.escape(first.given.name)
-    return re.sub(r"\d+", "*", glob.escape(first.path.name))
+    return without_numbers(glob.escape(first.path.name), "*")
 
 
 # --- which log is which --------------------------------------------------------------------

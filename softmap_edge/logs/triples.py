@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.logs.goals import follows, is_computed, is_drive, is_goal
+from softmap_edge.logs.numbered import without_numbers
 from softmap_edge.logs.plausible import is_base
 
 Array = NDArray[np.float64]
@@ -140,7 +141,7 @@ def _families(candidates: list[_Candidate]) -> list[list[_Candidate]]:
     """Return the candidates in sets of which the names differ in digits only."""
     families: dict[str, list[_Candidate]] = {}
     for one in candidates:
-        families.setdefault(re.sub(r"\d+", "#", one.stem), []).append(one)
+        families.setdefault(without_numbers(one.stem), []).append(one)
     return list(families.values())
 
 

@@ -7,7 +7,6 @@ if the mapping mends roll-overs. Pinned by tests/logs/test_csv_parts.py.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,6 +15,7 @@ import numpy as np
 
 from softmap_edge.errors import RunError
 from softmap_edge.files.time_digits import differing
+from softmap_edge.logs.numbered import numbers_in, without_numbers
 from softmap_edge.logs.readers.columns import Array, Cells, Columns
 from softmap_edge.logs.readers.text import TextColumns
 from softmap_edge.logs.table import place, raw_times
@@ -138,7 +138,7 @@ class JoinedColumns:
 
     def _rolls(self, times: Sequence[Array]) -> bool:
         """Whether a clock that rolls over, as the mapping declares, runs on from file to file."""
-        if self.clock.jumps != "mend" or self._period or len({re.sub(r"\d+", "#", name) for name, _ in self.parts}) > 1:
+        if self.clock.jumps != "mend" or self._period or len({without_numbers(name) for name, _ in self.parts}) > 1:
             return False
         order = self._by_name()
         falls = any((np.diff(t) < 0).any() for t in times)
@@ -147,14 +147,14 @@ class JoinedColumns:
     def _by_name(self) -> list[int]:
         """Return the order of the files by the numbers in their names."""
         names = [name for name, _ in self.parts]
-        return sorted(range(len(names)), key=lambda k: [int(digits) for digits in re.findall(r"\d+", names[k])])
+        return sorted(range(len(names)), key=lambda k: numbers_in(names[k]))
 
     def _doubts(self, order: Sequence[int]) -> list[str]:
         """Return a doubt if the numbers in the names show another order, and a clock that begins again explains it."""
         named = self._by_name()
         dated = any(place(self.path, self.names, column) in self.clocks for column in self.clock.columns)
         turned = any([*named[k:], *named[:k]] == [*order] for k in range(1, len(named)))
-        if len({re.sub(r"\d+", "#", name) for name, _ in self.parts}) > 1 or [*order] == named:
+        if len({without_numbers(name) for name, _ in self.parts}) > 1 or [*order] == named:
             return []
         if self._period:
             return [
