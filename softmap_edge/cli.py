@@ -61,7 +61,7 @@ def _main(argv: list[str]) -> int:
         return _main([*[word for word in argv[1:] if not word.startswith("-")], "--help"])
     if argv[0] in RENAMED:
         new = RENAMED[argv[0]]
-        print(f"softmap: `softmap {argv[0]}` is now `softmap {new}`; the old name is gone after 0.1.0", file=sys.stderr)
+        print(f"softmap: '{argv[0]}' is now '{new}'; the old name is gone after 0.1.0", file=sys.stderr)
         argv = [*new.split(), *argv[1:]]
     name = " ".join(argv[:2]) if " ".join(argv[:2]) in known else argv[0]
     if name not in known:
@@ -131,7 +131,7 @@ def _run(command: Command, argv: list[str]) -> int:
         namespace = parser.parse_args(argv)
     except SystemExit as stop:  # argparse has printed why
         return int(stop.code or 0)
-    options = vars(module).get(f"{command.function.title().replace('_', '')}Options")  # none of a group's actions
+    options = vars(module).get(command.options)  # none where actions have their own
     args = namespace if options is None else options(**vars(namespace))
     try:
         with printing_warnings(command.name) as incomplete:

@@ -11,11 +11,11 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Command:
-    """A command: `module` holds the functions `NAME(args) -> int` and `NAME_arguments(parser)`.
+    """A command: `module` holds `NAME_arguments(parser)`, `NAME(options) -> int` and the dataclass `NameOptions`.
 
     Attributes:
         name: one word, or two for an action of a group, such as `model adapt`
-        group: the question that it answers, a heading of `softmap help`
+        group: the question that it answers, a heading of the overview
         help: what it does, one line
         module: where its functions are; NAME there is the last word of `name`
         page: name of its page in the docs, without folder and ending
@@ -33,6 +33,11 @@ class Command:
     def function(self) -> str:
         """The name of its functions in its module."""
         return self.name.split()[-1].replace("-", "_")
+
+    @property
+    def options(self) -> str:
+        """The name of the frozen dataclass of its options in its module; commands with actions have one for each."""
+        return f"{self.function.title().replace('_', '')}Options"
 
 
 _HERE = "softmap_edge.commands"

@@ -5,12 +5,29 @@ from __future__ import annotations
 import argparse
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any, NoReturn
 
 from softmap_edge.errors import nearest
 
-# An action of a command: its help, the function that declares its arguments, and the one that runs it.
-Action = tuple[str, Callable[[argparse.ArgumentParser], None], Callable[[argparse.Namespace], int]]
+
+@dataclass(frozen=True)
+class Action:
+    """An action of a command, such as `servo scan`.
+
+    Attributes:
+        help: what it does, one line
+        declare: declares its arguments
+        run: runs it with its options, returns the exit code
+        options: the dataclass of its options
+    """
+
+    help: str
+    declare: Callable[[argparse.ArgumentParser], None]
+    run: Callable[[Any], int]
+    options: type[Any]
+
+
 _CHOICE = re.compile(r"invalid choice: '?([^'\s]*)'? \(choose from (.*)\)")
 
 
@@ -47,11 +64,17 @@ class Parser(argparse.ArgumentParser):
 def add_actions(parser: argparse.ArgumentParser, actions: Mapping[str, Action]) -> None:
     """Declare the actions of a command, such as `servo scan`: `args.what` is the name of the one that is given."""
     what = parser.add_subparsers(dest="what", required=True, metavar="|".join(actions))
-    for name, (text, declare, _) in actions.items():
-        one = what.add_parser(name, help=text)
-        declare(one)
+    for name, action in actions.items():
+        one = what.add_parser(name, help=action.help)
+        action.declare(one)
         # The command has --json too; a default of the action would overrule one that stands before the action.
         one.add_argument("--json", action="store_true", default=argparse.SUPPRESS, help="print one JSON document")
+
+
+def run_action(actions: Mapping[str, Action], args: argparse.Namespace) -> int:
+    """Run the action that is given, with the options of its own; return its exit code."""
+    action = actions[args.what]
+    return action.run(action.options(**{name: value for name, value in vars(args).items() if name != "what"}))
 
 
 def parsers_below(parser: argparse.ArgumentParser) -> Iterator[Parser]:

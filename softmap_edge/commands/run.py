@@ -5,10 +5,11 @@ from __future__ import annotations
 import argparse
 import json
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 from softmap_edge.commands.output import check_file, check_no_run
-from softmap_edge.commands.parser import Action, add_actions
+from softmap_edge.commands.parser import Action, add_actions, run_action
 from softmap_edge.errors import RunError
 from softmap_edge.robot.drive.recorded import open_run
 from softmap_edge.run.contents import contents, lines
@@ -18,6 +19,20 @@ from softmap_edge.run.join_doubts import join_doubts
 from softmap_edge.run.run import Run
 
 Piece = tuple[str, Run]
+
+
+@dataclass(frozen=True)
+class CutOptions:
+    """Options of `softmap run cut`, as its parser declares them."""
+
+    run: str
+    start: list[float] | None
+    end: list[float] | None
+    block: list[str] | None
+    lead: float
+    out: str
+    force: bool
+    json: bool
 
 
 def _cut_arguments(parser: argparse.ArgumentParser) -> None:
@@ -33,6 +48,18 @@ def _cut_arguments(parser: argparse.ArgumentParser) -> None:
         help="keep the commands of this many seconds before each piece, so that memory is still right (0)",
     )  # fmt: skip
     _out_arguments(parser, "the piece to write (.npz); several pieces are NAME_1.npz, NAME_2.npz, …")
+
+
+@dataclass(frozen=True)
+class JoinOptions:
+    """Options of `softmap run join`, as its parser declares them."""
+
+    runs: list[str]
+    gap: float
+    drop: list[str]
+    out: str
+    force: bool
+    json: bool
 
 
 def _join_arguments(parser: argparse.ArgumentParser) -> None:
@@ -52,11 +79,19 @@ def _out_arguments(parser: argparse.ArgumentParser, text: str) -> None:
     parser.add_argument("--force", action="store_true", help="replace the run that stands there")
 
 
+@dataclass(frozen=True)
+class ShowOptions:
+    """Options of `softmap run show`, as its parser declares them."""
+
+    run: str
+    json: bool
+
+
 def _show_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("run", help="the run (.npz or .mcap)")
 
 
-def _cut(args: argparse.Namespace) -> int:
+def _cut(args: CutOptions) -> int:
     check_file("--out", args.out, ".npz")
     run = open_run(args.run)
     found = _pieces(run, args)
@@ -76,7 +111,7 @@ def _cut(args: argparse.Namespace) -> int:
     return 0
 
 
-def _pieces(run: Run, args: argparse.Namespace) -> list[Piece]:
+def _pieces(run: Run, args: CutOptions) -> list[Piece]:
     """Return each requested piece with its description.
 
     Raises:
@@ -116,7 +151,7 @@ def _numbered(name: str, number: int) -> str:
     return str(path.with_name(f"{path.stem}_{number}{path.suffix}"))
 
 
-def _join(args: argparse.Namespace) -> int:
+def _join(args: JoinOptions) -> int:
     check_file("--out", args.out, ".npz")
     check_no_run("--out", args.out, args.force)
     runs = [open_run(path) for path in args.runs]
@@ -131,7 +166,7 @@ def _join(args: argparse.Namespace) -> int:
     return 0
 
 
-def _show(args: argparse.Namespace) -> int:
+def _show(args: ShowOptions) -> int:
     document = contents(open_run(args.run))
     if args.json:
         print(json.dumps({"schema": "softmap.contents/1", "path": args.run} | document, ensure_ascii=False))
@@ -141,9 +176,9 @@ def _show(args: argparse.Namespace) -> int:
 
 
 ACTIONS: dict[str, Action] = {
-    "cut": ("cut pieces out of a run, by time or by block", _cut_arguments, _cut),
-    "join": ("join runs of one robot into one", _join_arguments, _join),
-    "show": ("list what a run holds", _show_arguments, _show),
+    "cut": Action("cut pieces out of a run, by time or by block", _cut_arguments, _cut, CutOptions),
+    "join": Action("join runs of one robot into one", _join_arguments, _join, JoinOptions),
+    "show": Action("list what a run holds", _show_arguments, _show, ShowOptions),
 }
 
 
@@ -154,4 +189,4 @@ def run_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Cut, join or show runs."""
-    return ACTIONS[args.what][2](args)
+    return run_action(ACTIONS, args)

@@ -30,7 +30,7 @@ from softmap_edge.logs.clock import corrected
 from softmap_edge.logs.frames import choose_frames, seen
 from softmap_edge.logs.held import unhold
 from softmap_edge.logs.mapping import ANGLE, LENGTH, Mapping, Quantity, read_mapping
-from softmap_edge.logs.plausible import doubts_of_both, doubts_of_rest, doubts_of_rows, doubts_of_time
+from softmap_edge.logs.plausible import doubts_of_both, doubts_of_frozen, doubts_of_rest, doubts_of_rows, doubts_of_time
 from softmap_edge.logs.sources import assign, named, open_parts, parts_of
 from softmap_edge.logs.table import LogTable, read_log
 from softmap_edge.logs.time_names import is_time_name
@@ -83,6 +83,7 @@ def import_logs(paths: Sequence[str | os.PathLike[str]], mapping: Mapping) -> Im
         doubts += [f"{one.label}: {doubt}" for one, table in zip(logs, tables) for doubt in doubts_of_time(table.t)]
     t = _command_rows(tables, mapping, fields, notes, doubts)
     doubts += doubts_of_both(fields)
+    doubts += [] if t is None or "timeless" in fields else doubts_of_frozen(t, fields)
     t_seen = seen(tables, mapping, t, fields, notes, doubts)
     if t is None and t_seen is None:
         raise RunError(f"{mapping.path}: names neither commands nor markers nor outputs; give at least one of them")

@@ -23,6 +23,7 @@ TENDON = (0.2, 300.0)  # mm: the largest command
 _USUAL = {"robot": (20.0, 2000.0), "tendon": (0.5, 150.0)}  # mm: what a proposed unit must give
 HALF_TURN, TURNS = 3.2, 25.0  # rad: degrees are rarely below the one, radians rarely beyond the other
 _HOME = 0.1  # of the largest command: nearer than this the robot is taken to be at rest
+_STILL_ROWS, _CROSSED = 20, 0.5  # rows of a reading that stands still, and of the range of a command meanwhile
 _SAMPLE = 20_000  # frames looked at
 _LETTERS = "xyz"
 
@@ -87,6 +88,42 @@ def doubts_of_both(fields: dict[str, Any]) -> list[str]:
                     f"present: moves {ratio:.3g} times as far as command, which looks like {what}: set unit of each"
                 ]
     return []
+
+
+def doubts_of_frozen(t: Array, fields: dict[str, Any]) -> list[str]:
+    """Name readings of drives that repeat to the last digit while a command crosses much of its range.
+
+    Args:
+        t: (T,) s, of the rows. fields: the fields of the run, with an entry for each row.
+    """
+    given = next((np.asarray(fields[name], float) for name in ("command", "ticks") if name in fields), None)
+    doubts: list[str] = []
+    for name in ("present", "present_ticks", "current") if given is not None and given.size else ():
+        rows = np.asarray(fields.get(name, np.zeros((0, 0))), float)
+        for c in range(rows.shape[1]):
+            assert given is not None
+            own = given[:, c : c + 1] if rows.shape[1] == given.shape[1] and name != "current" else given
+            found = _frozen(rows[:, c], own) if len(np.unique(rows[:, c])) > 1 else None
+            if found is not None:
+                first, end = found
+                doubts.append(
+                    f"{name}: column {c + 1} repeats to the last digit in rows {first} to {end - 1} ({t[first]:.6g} to "
+                    f"{t[end - 1]:.6g} s) while a command crosses {100 * _CROSSED:.0f} % of its range or more: the "
+                    "reading was lost, or the servo is blocked; cut the log there with from_row and to_row"
+                )
+    return doubts
+
+
+def _frozen(column: Array, commands: Array) -> tuple[int, int] | None:
+    """Return the longest stretch (first row, row after the last) in which a column (T,) stands still and should not."""
+    edges = np.flatnonzero(np.r_[True, np.diff(column) != 0, True])
+    span = np.ptp(commands, axis=0)
+    k = int(np.argmax(np.diff(edges)))
+    first, end = int(edges[k]), int(edges[k + 1])
+    if end - first < _STILL_ROWS or not span.any():
+        return None
+    moved = np.ptp(commands[first:end], axis=0)
+    return (first, end) if (moved >= _CROSSED * np.maximum(span, 1e-12)).any() else None
 
 
 def doubts_of_points(points: Array, unit: str, name: str = "markers") -> list[str]:

@@ -9,6 +9,9 @@ from softmap_edge.logs.mapping import Quantity
 from softmap_edge.logs.table import LogTable
 from softmap_edge.run.rollover import DRIVES, Floats, roll_over, roll_over_line, unwrapped
 
+_GAP = 1.5  # usual steps between rows: more is a gap
+_NEAR = 5  # rows on either side of a gap that show the speed
+
 
 def counted_on(name: str, table: LogTable, quantity: Quantity, notes: list[str], doubts: list[str]) -> Floats:
     """Return the raw values (rows, columns) of a quantity, counted on over the roll-overs that the mapping declares.
@@ -40,5 +43,25 @@ def counted_on(name: str, table: LogTable, quantity: Quantity, notes: list[str],
             )
         values[:, c], jumps = unwrapped(values[:, c], float(turn))
         count += jumps
+        doubts += _over_gaps(name, named[c], table.t, values[:, c], float(turn))
     notes.append(f"{name}: counts on over {count} roll-overs (unwrap)")
     return values
+
+
+def _over_gaps(name: str, column: str, t: Floats, values: Floats, turn: float) -> list[str]:
+    """Return a doubt on gaps in which a channel (T,) may have turned by more than half a turn, counted as less."""
+    known = np.flatnonzero(np.isfinite(values))
+    step, moved = np.diff(t[known]), np.abs(np.diff(values[known]))
+    if len(step) < 2 or (step <= 0).any():
+        return []
+    usual = float(np.median(step))
+    windows = np.lib.stride_tricks.sliding_window_view(np.pad(moved / step, _NEAR), 2 * _NEAR + 1)
+    far = np.flatnonzero((step > _GAP * usual) & (windows.max(axis=1) * step > 0.5 * turn))
+    if not len(far):
+        return []
+    first = int(far[0])
+    return [
+        f"{name}: {column} has {len(far)} gaps in which it may turn by more than half a turn at its speed (the first "
+        f"lasts {step[first]:.3g} s after {t[known[first]]:.6g} s): the fewest turns are counted, and later rows may "
+        "be off by whole turns; cut the log there with to_row and from_row"
+    ]

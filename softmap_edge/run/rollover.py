@@ -52,8 +52,8 @@ def roll_over(values: Floats, turns: tuple[float, ...] = TURNS) -> RollOver | No
     step, span = np.diff(values), float(np.ptp(values))
     size = np.abs(step)
     for turn in turns:
-        if not 0.5 * turn < span <= turn * (1 + 1e-9):
-            continue
+        if not 0.5 * turn < span <= turn * (1 + 1e-9) or (turn == TURNS[0] and (values == np.rint(values)).all()):
+            continue  # whole numbers are no radians
         jumps = size > 0.5 * turn
         if not jumps.any() or size[~jumps].max(initial=0.0) > _SLOW * turn:
             continue

@@ -8,6 +8,7 @@ import os
 import shutil
 import subprocess
 import sys
+from dataclasses import fields
 from pathlib import Path
 
 import pytest
@@ -107,7 +108,7 @@ def test_an_old_name_works_and_says_the_new_one_in_one_line(old, capsys):
     assert main([old, "--help"]) == 0
     done = capsys.readouterr()
     assert done.out == told
-    assert done.err == f"softmap: `softmap {old}` is now `softmap {new}`; the old name is gone after 0.1.0\n"
+    assert done.err == f"softmap: '{old}' is now '{new}'; the old name is gone after 0.1.0\n"
 
 
 def test_help_alone_of_an_action_and_of_nothing(capsys):
@@ -115,6 +116,18 @@ def test_help_alone_of_an_action_and_of_nothing(capsys):
     assert main(["help", "servo", "scan"]) == 0 and "usage: softmap servo scan" in capsys.readouterr().out
     assert main(["help", "run", "cut"]) == 0 and "--block" in capsys.readouterr().out
     assert main(["help", "nothing"]) == 2 and "no command 'nothing'" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("command", BUILTIN, ids=lambda command: command.name)
+def test_options_are_a_frozen_dataclass_of_what_the_parser_declares(command):
+    module = importlib.import_module(command.module)
+    actions = [a for a in parser_of(command)._actions if isinstance(a, argparse._SubParsersAction)]
+    pairs = [(parser_of(command), getattr(module, command.options, None))]
+    if actions:
+        pairs = [(parser, module.ACTIONS[name].options) for name, parser in actions[0].choices.items()]
+    for parser, options in pairs:
+        assert options.__dataclass_params__.frozen
+        assert {field.name for field in fields(options)} == {a.dest for a in parser._actions} - {"help"}
 
 
 # --- a reader that leaves early -----------------------------------------------------------------

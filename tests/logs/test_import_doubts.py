@@ -167,3 +167,43 @@ def test_a_base_in_another_unit_is_doubted_by_its_own_key(tmp_path, stated, scal
     named = [doubt for doubt in doubts if doubt.startswith("base: span")]
     assert bool(named) == (said is not None) and all(f'set unit = "{said}"' in doubt for doubt in named)
     assert not any(doubt.startswith("markers: span") for doubt in doubts)
+
+
+READ = """schema = "softmap.mapping/1"
+[[log]]
+file = "part_*.csv"
+time = { column = "t" }
+command = { columns = ["a", "b"] }
+present = { columns = ["d", "e"] }
+current = { columns = ["i", "j"] }
+"""
+
+
+def readings(folder, frozen, begin, end, parts=(0, 300)):
+    """Logs of two servos; the column `frozen` keeps its last reading in rows `begin` to before `end`."""
+    rng, paths = np.random.default_rng(3), []
+    table = {"t": 0.05 * np.arange(300), "a": 5 * np.sin(np.arange(300) / 9), "b": 4 * np.cos(np.arange(300) / 7)}
+    table |= {"d": 0.9 * table["a"] + rng.normal(0, 0.02, 300), "e": 0.9 * table["b"] + rng.normal(0, 0.02, 300)}
+    table |= {name: 100 + 40 * np.sin(np.arange(300) / 8) + rng.normal(0, 2, 300) for name in "ij"}
+    if frozen:
+        table[frozen][begin:end] = table[frozen][begin]
+    for k, (first, last) in enumerate(zip(parts, parts[1:])):
+        rows = [",".join(f"{table[name][row]:.4f}" for name in table) for row in range(first, last)]
+        (folder / f"part_{k}.csv").write_text("\n".join([",".join(table), *rows]) + "\n")
+        paths.append(folder / f"part_{k}.csv")
+    (folder / "map.toml").write_text(READ)
+    return import_logs(paths, read_mapping(folder / "map.toml")).doubts
+
+
+@pytest.mark.parametrize(
+    ("column", "name"), [("d", "present: column 1"), ("e", "present: column 2"), ("i", "current: column 1")]
+)
+@pytest.mark.parametrize("parts", [(0, 300), (0, 150, 300), (0, 100, 200, 300)])
+def test_a_reading_that_stands_still_while_its_command_moves_is_named(tmp_path, column, name, parts):
+    named = [doubt for doubt in readings(tmp_path, column, 140, 220, parts) if "to the last digit" in doubt]
+    assert len(named) == 1 and named[0].startswith(f"{name} repeats") and "rows 140 to 219 (7 to 10.95 s)" in named[0]
+
+
+@pytest.mark.parametrize(("column", "begin", "end"), [("", 0, 0), ("d", 100, 112), ("a", 100, 200)])
+def test_readings_that_move_are_not_named(tmp_path, column, begin, end):
+    assert not [doubt for doubt in readings(tmp_path, column, begin, end) if "to the last digit" in doubt]

@@ -136,7 +136,7 @@ def test_a_bench_that_is_not_as_it_must_be(name):
         assert found == states and not torque(bus)
 
 
-@pytest.mark.parametrize("verb", ["track", "move", "teleop"])
+@pytest.mark.parametrize("verb", ["track", "servo move", "teleop"])
 def test_a_damaged_bundle(verb, tmp_path, monkeypatch, capsys):
     line, states = TABLE["damaged bundle"]
     monkeypatch.chdir(tmp_path)
@@ -146,7 +146,7 @@ def test_a_damaged_bundle(verb, tmp_path, monkeypatch, capsys):
     Path("finger/prior.npz").write_bytes(data)
     words = {
         "track": ["track", "O"],
-        "move": ["servo", "move", "1,1", "--hold"],
+        "servo move": ["servo", "move", "1,1", "--hold"],
         "teleop": ["teleop", "--page", "none"],
     }[verb]
     with bench() as (bus, rig, limits):

@@ -213,8 +213,8 @@ def test_what_cannot_be_sent_is_told(points, visible, line):
     [
         (POINTS / 1000, 0.0, "within 0.011 mm of the origin, which looks like metres"),
         ([[0.0, 0.0, 0.04], [np.nan] * 3, [0.01, 0.0, 0.12]], 0.0, "all 2 points .* looks like metres"),
-        (POINTS * 1000, 0.0, "at most 10000; convert them to mm"),
-        ([[0.0, 0.0, np.inf]], 0.0, "at most 10000; convert them to mm"),
+        (POINTS * 1000, 0.0, "at most 10000 mm; convert them to mm"),
+        ([[0.0, 0.0, np.inf]], 0.0, "at most 10000 mm; convert them to mm"),
         (POINTS, float("nan"), "a stamp of nan s"),
         (POINTS, 1e12, "a stamp of 1000000000000"),
     ],

@@ -102,7 +102,7 @@ def test_a_ceiling_of_the_bench_is_the_limit(tmp_path):
 def test_a_place_outside_the_window_is_a_fault_and_its_command_leads_back(tmp_path, capsys):
     file, finger = str(tmp_path / "rig.toml"), str(tmp_path / "finger")
     save_bundle(replace(builtin_model(), calibration=calibration()), finger)
-    drive = ["move", "0.2,0.2", "--rig", file, "--bundle", finger, "--hold", "--seconds", "0.1"]
+    drive = ["servo", "move", "0.2,0.2", "--rig", file, "--bundle", finger, "--hold", "--seconds", "0.1"]
     with bench(load=[]) as (bus, rig, _):
         rig.write(file)
         for _ in range(4):

@@ -107,7 +107,7 @@ def test_the_commands_of_table_ii_are_commands():
     """Training takes minutes: here the lines only fit together. The table runs in tests/synthetic/test_table_two.py."""
     _, text = (text for language, text in blocks(PAGE) if language == "text")
     words = list(lines(text))
-    assert [line[1] for line in words] == ["train", "train", "adapt", "track"]
+    assert [line[1] for line in words] == ["train", "train", "model", "track"]
     parser = argparse.ArgumentParser()
     track_arguments(parser)
     args = parser.parse_args(words[-1][2:])

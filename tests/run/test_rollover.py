@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import logs
 import numpy as np
 import pytest
 
@@ -143,3 +144,37 @@ def test_places_do_not_roll_over(tmp_path):
     )
     with pytest.raises(RunError, match="unwrap"):
         import_logs([log(tmp_path, motion(10, 90, 360)[0])], parse_mapping(text, Path("map.toml")))
+
+
+WRAPPED = """schema = "softmap.mapping/1"
+command_unit = "ticks"
+[[log]]
+time = { column = "t" }
+command = { columns = ["a", "b"], unit = "ticks", unwrap = 4096 }
+"""
+
+
+def with_gap(first, last, speed, empty):
+    """A log of two encoders that roll over; the first has no values in some rows, which are empty or left out."""
+    lines = ["t,a,b"]
+    for k in range(200):
+        place = str(int(2000 + speed * 0.02 * k) % 4096)
+        if first <= k < last and not empty:
+            continue
+        lines.append(f"{0.02 * k:.2f},{'' if first <= k < last else place},{2000 + k % 3}")
+    return "\n".join(lines) + "\n"
+
+
+@pytest.mark.parametrize("empty", [True, False])
+@pytest.mark.parametrize(("last", "speed", "doubted"), [(140, 1800, True), (70, 1800, False), (140, 300, False)])
+def test_turns_over_a_gap_are_doubted_where_the_speed_allows_several(tmp_path, empty, last, speed, doubted):
+    done = logs.imported(tmp_path, with_gap(60, last, speed, empty), WRAPPED)
+    named = [doubt for doubt in done.doubts if "more than half a turn" in doubt]
+    assert bool(named) == doubted and all("'a' has 1 gaps" in doubt and "after 1.18 s" in doubt for doubt in named)
+    if not doubted:
+        assert np.abs(done.run.command[:, 0] - (2000 + speed * done.run.t)).max() <= 1.0
+
+
+def test_whole_numbers_never_roll_over_at_two_pi():
+    assert roll_over(np.arange(70.0) % 7) is None
+    assert roll_over(np.arange(0.0, 30.0, 0.1) % (2 * np.pi)) is not None

@@ -13,7 +13,7 @@ import contextlib
 import io
 import re
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -70,6 +70,12 @@ def verbs() -> dict[str, Command]:
     return {verb.name: verb for verb in commands_here()}
 
 
+def command_of(words: Sequence[str]) -> str:
+    """Return the name of the command that these words begin with: two words for an action of a group."""
+    two = " ".join(words[:2])
+    return two if two in verbs() else words[0]
+
+
 def python_texts(file: Path) -> Iterator[tuple[int, str]]:
     """Yield line and text of each string and f-string, parts that are computed as placeholders."""
     tree = ast.parse(file.read_text(encoding="utf-8"))
@@ -92,7 +98,7 @@ def rust_texts(file: Path) -> Iterator[tuple[int, str]]:
 def fault(words: tuple[str, ...]) -> str | None:
     """Return what is wrong with a command, None if the parser takes it."""
     words = tuple(word for word in words if not re.fullmatch(f"({HOLE}){{2,}}", word))  # words that are computed
-    name = " ".join(words[:2]) if " ".join(words[:2]) in verbs() else words[0]
+    name = command_of(words)
     if name not in verbs():
         return None if words[0] in (*ELSEWHERE, HELP) else f"there is no command '{name}'"
     parser = parser_of(verbs()[name])

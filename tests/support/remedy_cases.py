@@ -141,7 +141,7 @@ def _shared() -> None:
 
 
 HOMES = [str(ticks) for ticks in HOME]
-CALIBRATED = ["calibrate", "ticks.npz", "--bundle", "finger", "--home", *HOMES, "--out", "calibrated"]
+CALIBRATED = ["model", "calibrate", "ticks.npz", "--bundle", "finger", "--home", *HOMES, "--out", "calibrated"]
 CASES = [
     Remedy(
         "ticks without a model", lambda: arm().save("ticks.npz"), ["compare", "ticks.npz"],
@@ -210,7 +210,7 @@ CASES = [
     Remedy(
         "no effect is named", _learned, ["model", "remove", " , ", "--bundle", "bundle", "--out", "b"],
         "softmap model effects",
-        [["effects"]], ["compare", "run.npz", "--bundle", "bundle"],
+        [["model", "effects"]], ["compare", "run.npz", "--bundle", "bundle"],
     ),
     Remedy(
         "a file of commands that is none", lambda: Path("c.csv").write_text("a,b\n1,2\n"),

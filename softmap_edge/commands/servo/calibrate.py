@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 from softmap_edge.commands.commissioning import announce, confirm, deadman, hold_argument
 from softmap_edge.commands.output import bundle_arguments, check_bundle, to_stderr
@@ -20,6 +20,23 @@ JOGGED = 200.0  # ticks: seen, and within what a jog may do
 MOVES = 0.5  # of that which a servo must have come
 
 
+@dataclass(frozen=True)
+class CalibrateOptions:
+    """Options of `softmap servo calibrate`, as its parser declares them."""
+
+    rig: str
+    pulley_mm: float
+    signs: str | None
+    ruler: str | None
+    bundle: str | None
+    effects: list[str]
+    trust_onnx: bool
+    out: str
+    force: bool
+    hold: bool
+    json: bool
+
+
 def calibrate_bench_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `servo calibrate`."""
     parser.add_argument("--rig", required=True, metavar="rig.toml", help="the bench, its homes known")
@@ -32,7 +49,7 @@ def calibrate_bench_arguments(parser: argparse.ArgumentParser) -> None:
     hold_argument(parser)
 
 
-def calibrate_bench(args: argparse.Namespace) -> int:
+def calibrate_bench(args: CalibrateOptions) -> int:
     """Write the bundle with a first calibration; 0 when it is written."""
     check_bundle(args.out, args.force)
     load_own(args)
@@ -82,7 +99,7 @@ def _signs(text: str) -> list[int]:
     return [known[part] for part in parts]
 
 
-def _jogged(args: argparse.Namespace, rig: Rig, model: Model) -> list[int]:
+def _jogged(args: CalibrateOptions, rig: Rig, model: Model) -> list[int]:
     """Jog each servo a little and back, and ask which way the finger bent."""
     signs = []
     for k, servo in enumerate(rig.servos):

@@ -6,19 +6,19 @@ import argparse
 import json
 import shlex
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from softmap_edge.commands.output import check_file, check_no_run, to_stderr, with_files
-from softmap_edge.commands.parser import Action, add_actions
-from softmap_edge.commands.servo.calibrate import calibrate_bench, calibrate_bench_arguments
-from softmap_edge.commands.servo.emulate import emulate, emulate_arguments
-from softmap_edge.commands.servo.heartbeat import heartbeat, heartbeat_arguments
-from softmap_edge.commands.servo.home import home, home_arguments
-from softmap_edge.commands.servo.limits import limits, limits_arguments
-from softmap_edge.commands.servo.pull import pull_arguments, pull_test
-from softmap_edge.commands.servo.reboot import reboot, reboot_arguments
+from softmap_edge.commands.parser import Action, add_actions, run_action
+from softmap_edge.commands.servo.calibrate import CalibrateOptions, calibrate_bench, calibrate_bench_arguments
+from softmap_edge.commands.servo.emulate import EmulateOptions, emulate, emulate_arguments
+from softmap_edge.commands.servo.heartbeat import HeartbeatOptions, heartbeat, heartbeat_arguments
+from softmap_edge.commands.servo.home import HomeOptions, home, home_arguments
+from softmap_edge.commands.servo.limits import LimitsOptions, limits, limits_arguments
+from softmap_edge.commands.servo.pull import PullOptions, pull_arguments, pull_test
+from softmap_edge.commands.servo.reboot import RebootOptions, reboot, reboot_arguments
 from softmap_edge.errors import NoAnswer, RecordingWarning, ServoError
 from softmap_edge.robot.commissioning import setup
 from softmap_edge.robot.commissioning.rig_entry import changes, entered, entry_of
@@ -36,29 +36,29 @@ from softmap_edge.robot.servo.status_words import kept_words
 
 SLOWEST, FASTEST = 9_600, 4_500_000  # baud
 OTHERWISE = 1  # exit code: a fault, or a recording that is decided otherwise
+OnBus = TypeVar("OnBus", "ScanOptions", "ReadOptions")
 
 
-def _ports(args: argparse.Namespace) -> list[str]:
+def _ports(port: str | None, baud: int | None) -> list[str]:
     """Return the ports that are meant.
 
     Raises:
         ServoError: none, or a rate that no port has.
     """
-    if args.baud is not None and not SLOWEST <= args.baud <= FASTEST:
-        raise ServoError(f"--baud {args.baud}; {SLOWEST} to {FASTEST} is allowed")
-    found = [args.port] if args.port else ports()
+    if baud is not None and not SLOWEST <= baud <= FASTEST:
+        raise ServoError(f"--baud {baud}; {SLOWEST} to {FASTEST} is allowed")
+    found = [port] if port else ports()
     if not found:
         raise ServoError("no serial port on this machine; connect the adapter, or give --port")
     return found
 
 
-def _of_rig(args: argparse.Namespace) -> Rig | None:
-    """Return the rig of `--rig`; its port and baud rate fill in missing arguments."""
+def _of_rig(args: OnBus) -> tuple[Rig | None, OnBus]:
+    """Return the rig of `--rig`, and the options with its port and baud rate where they are missing."""
     if args.rig is None:
-        return None
+        return None, args
     rig = read_rig(args.rig)
-    args.port, args.baud = args.port or rig.port, args.baud or rig.baud
-    return rig
+    return rig, replace(args, port=args.port or rig.port, baud=args.baud or rig.baud)
 
 
 def _missing(rig: Rig | None, found: list[setup.ServoState]) -> list[str]:
@@ -68,11 +68,11 @@ def _missing(rig: Rig | None, found: list[setup.ServoState]) -> list[str]:
     return [] if rig is None else [f"servo {id}: {why_silent(rig.port, rig.baud, id, listed)}" for id in left]
 
 
-def _scan(args: argparse.Namespace) -> int:
-    rig = _of_rig(args)
+def _scan(args: ScanOptions) -> int:
+    rig, args = _of_rig(args)
     found: list[setup.ServoState] = []
     remarks: list[str] = []
-    for port in _ports(args):
+    for port in _ports(args.port, args.baud):
         for heard in setup.scanned(port, args.baud):
             found += heard.found
             remarks += heard.remarks
@@ -99,9 +99,9 @@ def _told(servo: setup.ServoState) -> dict[str, Any]:
     )
 
 
-def _find(args: argparse.Namespace) -> tuple[list[setup.ServoState], list[str], set[int]]:
+def _find(args: ReadOptions | SetupOptions) -> tuple[list[setup.ServoState], list[str], set[int]]:
     """Return the selected servos, remarks on wrong answers, and the ids that answer pings only."""
-    heard = [one for port in _ports(args) for one in setup.scanned(port, args.baud)]
+    heard = [one for port in _ports(args.port, args.baud) for one in setup.scanned(port, args.baud)]
     every = [servo for one in heard for servo in one.found]
     remarks = [remark for one in heard for remark in one.remarks]
     found = [servo for servo in every if args.id is None or servo.id == args.id]
@@ -116,9 +116,9 @@ def _find(args: argparse.Namespace) -> tuple[list[setup.ServoState], list[str], 
     raise ServoError(f"{which} answers; check power and wiring, `{scan}` lists what does")
 
 
-def _read(args: argparse.Namespace) -> int:
+def _read(args: ReadOptions) -> int:
     documents = []
-    rig = _of_rig(args)
+    rig, args = _of_rig(args)
     found, remarks, mute = _find(args)
     remarks += [] if args.id is not None else _missing(rig, found)
     remarks = [with_files(one, args) for one in remarks]
@@ -159,7 +159,7 @@ def _registers(servo: setup.ServoState, asked: setup.Asked | None) -> tuple[dict
     return values, said + [f"{one}; each start writes it again" for one in left]
 
 
-def _setup(args: argparse.Namespace) -> int:
+def _setup(args: SetupOptions) -> int:
     check_file("--rig", args.rig, ".toml")
     found, remarks, _ = _find(args)
     ids = [servo.id for servo in found]
@@ -185,7 +185,7 @@ def _setup(args: argparse.Namespace) -> int:
     return 0
 
 
-def _next(args: argparse.Namespace, done: setup.ServoState) -> str:
+def _next(args: SetupOptions, done: setup.ServoState) -> str:
     """Return what comes after set-up: homing, which needs a rig that holds the servo."""
     if args.rig:
         return f"  next, once all are: softmap servo home --rig {shlex.quote(args.rig)}"
@@ -193,13 +193,12 @@ def _next(args: argparse.Namespace, done: setup.ServoState) -> str:
     return f"  next: softmap servo setup {where} --rig rig.toml, and once all are: softmap servo home --rig rig.toml"
 
 
-def _off(args: argparse.Namespace) -> int:
+def _off(args: OffOptions) -> int:
     port, baud, ids = args.port, args.baud, []
     if args.rig:
         rig = read_rig(args.rig)
         port, baud, ids = port or rig.port, baud or rig.baud, [servo.id for servo in rig.servos]
-    args.port = port
-    ports, released, kept = _ports(args), [], []
+    ports, released, kept = _ports(port, args.baud), [], []
     for name in ports:
         there, left = release(name, baud, ids)
         released += there
@@ -220,14 +219,48 @@ def _bus_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--baud", type=int, metavar="BAUD", help="one rate; every known one without it")
 
 
+@dataclass(frozen=True)
+class ScanOptions:
+    """Options of `softmap servo scan`, as its parser declares them."""
+
+    port: str | None
+    baud: int | None
+    rig: str | None
+    json: bool
+
+
 def _scan_arguments(parser: argparse.ArgumentParser) -> None:
     _bus_arguments(parser)
     parser.add_argument("--rig", metavar="rig.toml", help="look for the servos of this bench")
 
 
+@dataclass(frozen=True)
+class ReadOptions:
+    """Options of `softmap servo read`, as its parser declares them."""
+
+    port: str | None
+    baud: int | None
+    rig: str | None
+    id: int | None
+    json: bool
+
+
 def _read_arguments(parser: argparse.ArgumentParser) -> None:
     _scan_arguments(parser)
     parser.add_argument("--id", type=int, metavar="ID", help="one servo; all that answer without it")
+
+
+@dataclass(frozen=True)
+class SetupOptions:
+    """Options of `softmap servo setup`, as its parser declares them."""
+
+    port: str | None
+    baud: int | None
+    id: int | None
+    new_id: int | None
+    new_baud: int | None
+    rig: str | None
+    json: bool
 
 
 def _setup_arguments(parser: argparse.ArgumentParser) -> None:
@@ -238,27 +271,42 @@ def _setup_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--rig", metavar="rig.toml", help="add it to this bench")
 
 
+@dataclass(frozen=True)
+class OffOptions:
+    """Options of `softmap servo off`, as its parser declares them."""
+
+    port: str | None
+    baud: int | None
+    rig: str | None
+    json: bool
+
+
 def _off_arguments(parser: argparse.ArgumentParser) -> None:
     _bus_arguments(parser)
     parser.add_argument("--rig", metavar="rig.toml", help="the bench whose port it is")
 
 
 ACTIONS: dict[str, Action] = {
-    "scan": ("find ports, baud rates and servos", _scan_arguments, _scan),
-    "read": ("what a servo is, and what keeps it from being driven", _read_arguments, _read),
-    "setup": ("make one servo ready, and note it in a rig.toml", _setup_arguments, _setup),
-    "home": ("prove where the finger is straight, after each power-up", home_arguments, home),
-    "calibrate": (
+    "scan": Action("find ports, baud rates and servos", _scan_arguments, _scan, ScanOptions),
+    "read": Action("what a servo is, and what keeps it from being driven", _read_arguments, _read, ReadOptions),
+    "setup": Action("make one servo ready, and note it in a rig.toml", _setup_arguments, _setup, SetupOptions),
+    "home": Action("prove where the finger is straight, after each power-up", home_arguments, home, HomeOptions),
+    "calibrate": Action(
         "a first calibration without a camera: pulley, jogged signs, a ruler",
         calibrate_bench_arguments,
         calibrate_bench,
+        CalibrateOptions,
     ),
-    "pull": ("measure the current at the stroke; it becomes the ceiling", pull_arguments, pull_test),
-    "limits": ("every limit in force on a bench, and who set it", limits_arguments, limits),
-    "off": ("switch the torque of every servo off", _off_arguments, _off),
-    "reboot": ("restart a servo that has shut itself down", reboot_arguments, reboot),
-    "heartbeat": ("be the emergency stop of a robot on another computer", heartbeat_arguments, heartbeat),
-    "emulate": ("an emulated robot: servos, a finger, a camera, faults on command", emulate_arguments, emulate),
+    "pull": Action("measure the current at the stroke; it becomes the ceiling", pull_arguments, pull_test, PullOptions),
+    "limits": Action("every limit in force on a bench, and who set it", limits_arguments, limits, LimitsOptions),
+    "off": Action("switch the torque of every servo off", _off_arguments, _off, OffOptions),
+    "reboot": Action("restart a servo that has shut itself down", reboot_arguments, reboot, RebootOptions),
+    "heartbeat": Action(
+        "be the emergency stop of a robot on another computer", heartbeat_arguments, heartbeat, HeartbeatOptions
+    ),
+    "emulate": Action(
+        "an emulated robot: servos, a finger, a camera, faults on command", emulate_arguments, emulate, EmulateOptions
+    ),
 }
 
 
@@ -269,7 +317,7 @@ def servo_arguments(parser: argparse.ArgumentParser) -> None:
 
 def servo(args: argparse.Namespace) -> int:
     """Run an action on servos; return 0 when all is well."""
-    return ACTIONS[args.what][2](args)
+    return run_action(ACTIONS, args)
 
 
 @dataclass(frozen=True)

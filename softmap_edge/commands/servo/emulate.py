@@ -9,7 +9,7 @@ import shlex
 import sys
 import threading
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -45,6 +45,28 @@ KEPT_OPEN = "sleep infinity | softmap servo emulate …"
 BROKEN = ("mute", "stuck", "torn", "reversed", "jammed", "uncapped")
 
 
+@dataclass(frozen=True)
+class EmulateOptions:
+    """Options of `softmap servo emulate`, as its parser declares them."""
+
+    bundle: str | None
+    effects: list[str]
+    trust_onnx: bool
+    hide: str
+    strength: float
+    seed: int
+    model: str
+    baud: int
+    fresh: bool
+    servos: int | None
+    rig: str | None
+    force: bool
+    calibrated: str | None
+    stream: list[str]
+    key: str | None
+    json: bool
+
+
 def emulate_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `servo emulate`."""
     parser.add_argument("--bundle", metavar="DIR", help="whose finger it is (default: the built-in one)")
@@ -68,14 +90,14 @@ def emulate_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--key", metavar="FILE", help="sign what is sent with this shared key")
 
 
-def emulate(args: argparse.Namespace) -> int:
+def emulate(args: EmulateOptions) -> int:
     """Emulate until standard input ends or Ctrl-C."""
     check_file("--rig", args.rig, ".toml")
     _check_no_bench(args.rig, args.force)
     if not 0 <= args.seed < 2**63:
         raise ServoError(f"--seed {args.seed}; 0 to {2**63 - 1} is allowed")
     if args.servos is not None:
-        return _bare(args)
+        return _bare(args, args.servos)
     if args.calibrated is not None:
         check_bundle(args.calibrated, args.force, "--calibrated")
     if not 0.0 < args.strength <= 10.0:
@@ -128,7 +150,7 @@ def _written(rig: Rig, path: str) -> None:
     replace(rig, made={**rig.made, EMULATED: {"by": "softmap servo emulate"}}).write(path)
 
 
-def _said(args: argparse.Namespace, port: str, model: Model, names: list[str]) -> str:
+def _said(args: EmulateOptions, port: str, model: Model, names: list[str]) -> str:
     """Return what stands there now, and what to type next."""
     lines = [
         f"{port} at {args.baud} baud, ids 1 to {model.channels}: '{model.robot}' is emulated, never called real; it "
@@ -157,7 +179,7 @@ def _said(args: argparse.Namespace, port: str, model: Model, names: list[str]) -
     return "\n".join([*lines, f"{FAULTS} · {FINGER_FAULTS}"])
 
 
-def _senders(args: argparse.Namespace) -> list[PointSender]:
+def _senders(args: EmulateOptions) -> list[PointSender]:
     if args.key and not args.stream:
         raise SoftmapError("--key signs what is sent; give --stream udp://HOST:PORT with it")
     key = None if args.key is None else read_key(args.key)
@@ -189,23 +211,23 @@ def streaming(finger: EmulatedFinger, senders: list[PointSender]) -> Iterator[No
             thread.join(2.0)
 
 
-def _bare(args: argparse.Namespace) -> int:
+def _bare(args: EmulateOptions, count: int) -> int:
     """Emulate servos without a finger, with a nominal load on each."""
     number = servo_model(args.model)["number"]
-    if not 1 <= args.servos <= MOST_SERVOS:
-        raise ServoError(f"{args.servos} servos; allowed are 1 to {MOST_SERVOS}")
+    if not 1 <= count <= MOST_SERVOS:
+        raise ServoError(f"{count} servos; allowed are 1 to {MOST_SERVOS}")
     given = [f"--{name}" for name in ("bundle", "hide", "stream", "calibrated", "key") if getattr(args, name)]
     if given:
         raise ServoError(f"{given[0]} needs a finger; leave --servos out")
     pull = [(1000.0, -400.0), (2000.0, 0.0), (3000.0, 400.0)]
-    servos = [(id, number, args.baud, 2000.0) for id in range(1, args.servos + 1)]
-    bus = _core.EmulatedBus(servos, [pull] * args.servos, seed=args.seed)
+    servos = [(id, number, args.baud, 2000.0) for id in range(1, count + 1)]
+    bus = _core.EmulatedBus(servos, [pull] * count, seed=args.seed)
     try:
         if args.rig:
             _written(Rig(bus.path, args.baud, tuple(RigServo(id, args.model) for id, *_ in servos)), args.rig)
         document: dict[str, Any] = {"schema": "softmap.emulated/1", "port": bus.path, "baud": args.baud}
-        said = f"{bus.path} at {args.baud} baud, ids 1 to {args.servos}, no finger; {FAULTS}"
-        print(json.dumps(document | {"servos": args.servos, "ready": False}) if args.json else said, flush=True)
+        said = f"{bus.path} at {args.baud} baud, ids 1 to {count}, no finger; {FAULTS}"
+        print(json.dumps(document | {"servos": count, "ready": False}) if args.json else said, flush=True)
         _obey(bus, None)
     finally:
         bus.unplug()

@@ -10,6 +10,7 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 
 from softmap_edge.errors import ServoError
 from softmap_edge.robot.control.heartbeat import Heart
@@ -21,6 +22,17 @@ UNHEARD = 5.0  # s without an answer after which that is told
 KEYS = "space presses the stop, r releases it, q or Ctrl-C ends the heartbeat, which presses it too"
 
 
+@dataclass(frozen=True)
+class HeartbeatOptions:
+    """Options of `softmap servo heartbeat`, as its parser declares them."""
+
+    robot: str | None
+    key: str | None
+    new_key: str | None
+    every: float
+    json: bool
+
+
 def heartbeat_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `servo heartbeat`."""
     parser.add_argument("robot", nargs="?", metavar="HOST:PORT", help="whose rig.toml has this port in [emergency] udp")
@@ -29,7 +41,7 @@ def heartbeat_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--every", type=float, default=EVERY, metavar="S", help=f"between beats ({EVERY:g})")
 
 
-def heartbeat(args: argparse.Namespace) -> int:
+def heartbeat(args: HeartbeatOptions) -> int:
     """Beat until it is ended; keys, or lines `press` and `release` on standard input, press and release the stop."""
     if args.new_key is not None:
         new_key(args.new_key)

@@ -4,12 +4,23 @@ from __future__ import annotations
 
 import argparse
 import json
+from dataclasses import dataclass
 
 from softmap_edge.commands.commissioning import confirm
 from softmap_edge.commands.output import check_file
 from softmap_edge.errors import ServoError
 from softmap_edge.robot.commissioning.home import prove, relax
 from softmap_edge.robot.servo.rig import read_rig
+
+
+@dataclass(frozen=True)
+class HomeOptions:
+    """Options of `softmap servo home`, as its parser declares them."""
+
+    rig: str
+    yes: bool
+    new: bool
+    json: bool
 
 
 def home_arguments(parser: argparse.ArgumentParser) -> None:
@@ -19,7 +30,7 @@ def home_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--new", action="store_true", help="this is home, whatever was stored before")
 
 
-def home(args: argparse.Namespace) -> int:
+def home(args: HomeOptions) -> int:
     """Prove home after a power-up; 0 when it is proved."""
     check_file("--rig", args.rig, ".toml")
     rig = read_rig(args.rig)

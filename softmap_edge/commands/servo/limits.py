@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+from dataclasses import dataclass
 
 from softmap_edge.commands.output import with_files
 from softmap_edge.commands.own import effects_argument, load_own, open_model
@@ -13,6 +14,18 @@ from softmap_edge.robot.servo.loop_limits import RATE
 from softmap_edge.robot.servo.rig import read_rig
 
 REFUSED = 1  # exit code: with these limits nothing is driven
+
+
+@dataclass(frozen=True)
+class LimitsOptions:
+    """Options of `softmap servo limits`, as its parser declares them."""
+
+    rig: str
+    bundle: str | None
+    effects: list[str]
+    trust_onnx: bool
+    rate: float
+    json: bool
 
 
 def limits_arguments(parser: argparse.ArgumentParser) -> None:
@@ -25,7 +38,7 @@ def limits_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def limits(args: argparse.Namespace) -> int:
+def limits(args: LimitsOptions) -> int:
     """Print the limits; 1 when nothing can be driven with them, and why."""
     load_own(args)
     model = open_model(args.bundle)

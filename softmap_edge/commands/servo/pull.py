@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+from dataclasses import dataclass
 
 from softmap_edge.commands.commissioning import announce, deadman, hold_argument
 from softmap_edge.commands.output import check_file, to_stderr
@@ -15,6 +16,19 @@ from softmap_edge.robot.servo.limits import IDLE, effective_limits
 from softmap_edge.robot.servo.rig import read_rig
 
 
+@dataclass(frozen=True)
+class PullOptions:
+    """Options of `softmap servo pull`, as its parser declares them."""
+
+    rig: str
+    bundle: str | None
+    effects: list[str]
+    trust_onnx: bool
+    servo: int | None
+    hold: bool
+    json: bool
+
+
 def pull_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `servo pull`."""
     parser.add_argument("--rig", required=True, metavar="rig.toml", help="the bench; ceilings are written into it")
@@ -24,7 +38,7 @@ def pull_arguments(parser: argparse.ArgumentParser) -> None:
     hold_argument(parser)
 
 
-def pull_test(args: argparse.Namespace) -> int:
+def pull_test(args: PullOptions) -> int:
     """Measure and write the ceilings; 0 when all are found."""
     check_file("--rig", args.rig, ".toml")
     rig = read_rig(args.rig)

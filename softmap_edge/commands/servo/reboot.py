@@ -5,12 +5,24 @@ from __future__ import annotations
 import argparse
 import json
 import shlex
+from dataclasses import dataclass
 
 from softmap_edge.errors import ServoError
 from softmap_edge.robot.commissioning.reboot import restart
 from softmap_edge.robot.commissioning.setup import scan
 from softmap_edge.robot.servo.bus import ports
 from softmap_edge.robot.servo.rig import read_rig
+
+
+@dataclass(frozen=True)
+class RebootOptions:
+    """Options of `softmap servo reboot`, as its parser declares them."""
+
+    id: int
+    rig: str | None
+    port: str | None
+    baud: int | None
+    json: bool
 
 
 def reboot_arguments(parser: argparse.ArgumentParser) -> None:
@@ -21,7 +33,7 @@ def reboot_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--baud", type=int, metavar="BAUD", help="one rate; every known one without it")
 
 
-def reboot(args: argparse.Namespace) -> int:
+def reboot(args: RebootOptions) -> int:
     """Restart one servo, torque off first; return 0 if it reports no error afterwards."""
     if not 0 <= args.id <= 252:
         raise ServoError(f"--id {args.id}; allowed are 0 to 252")
@@ -34,7 +46,7 @@ def reboot(args: argparse.Namespace) -> int:
     return 0
 
 
-def _where(args: argparse.Namespace) -> tuple[str, int]:
+def _where(args: RebootOptions) -> tuple[str, int]:
     """Return port and baud rate of the selected servo."""
     port, baud = args.port, args.baud
     if args.rig:
