@@ -1,4 +1,4 @@
-"""Files that are there whole or not at all: written beside their place, then moved there."""
+"""Files that are complete or absent: written next to their place, then moved there."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def write_atomically(path: str | Path, content: str | bytes) -> None:
 
 @contextmanager
 def replacement_of(file: Path) -> Iterator[Path]:
-    """Give a new file beside `file` to write into, which takes its place once that is done, and is gone if it fails."""
+    """Yield a new file next to `file` to write into; it replaces `file` once complete, and is deleted on failure."""
     try:
         descriptor, name = tempfile.mkstemp(prefix=f".{file.name}.", dir=file.parent)
     except OSError as error:

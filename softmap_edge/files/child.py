@@ -34,7 +34,7 @@ _PAGE_SIZE = os.sysconf("SC_PAGE_SIZE")
 
 
 class ChildFault(SoftmapError):
-    """The child raised another library's exception, crashed, or met a limit; the message says which."""
+    """The child raised another library's exception, crashed, or met a limit; the message names it."""
 
 
 class ChildMemory(ChildFault):
@@ -142,7 +142,7 @@ def _limit(megabytes: int, seconds: float) -> None:
     for which, most in limits.items():
         hard = resource.getrlimit(which)[1]
         most = most if hard == resource.RLIM_INFINITY else min(most, hard)
-        # The hard limit of time would be SIGKILL, which does not say why.
+        # The hard limit of time would be SIGKILL, which gives no reason.
         resource.setrlimit(which, (most, hard if which == resource.RLIMIT_CPU else most))
     for number in (signal.SIGALRM, signal.SIGTERM, signal.SIGXCPU):  # handlers of this process are not the child's
         signal.signal(number, signal.SIG_DFL)
@@ -163,7 +163,7 @@ def _isolate(pipe: int) -> None:
 
 
 def _result(function: Callable[..., object], args: tuple[object, ...], megabytes: int) -> list[memoryview]:
-    """Return the answer in parts: a line of JSON, and the arrays of which it says the type and shape."""
+    """Return the answer in parts: a line of JSON, and the arrays whose types and shapes it lists."""
     arrays: list[memoryview] = []
     try:
         with warnings.catch_warnings():

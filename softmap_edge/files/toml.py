@@ -1,4 +1,4 @@
-"""A TOML table that is read key by key and then says which of its keys nobody knows.
+"""A TOML table that is read key by key and then reports its unknown keys.
 
 Every fault is one RunError that names the file, the key, what was found and what is expected. `quoted` is how any text
 is written into TOML. Pinned by tests/robot/test_rig_file.py.
@@ -26,7 +26,7 @@ _KINDS: dict[type, str] = {
 
 
 class TomlTable:
-    """A TOML table that remembers what was asked for, so that what nobody asked for can be named."""
+    """A TOML table that records which keys were read, so that unknown keys can be named."""
 
     def __init__(self, values: object, where: str) -> None:
         if not isinstance(values, dict):

@@ -278,7 +278,7 @@ def carried(tangents: Floats) -> Floats:
     """Return frames (n, J, 3, 3), columns normal, binormal, tangent, carried without twist along unit tangents (n, J,
     3).
 
-    The first normal is x where the tangent is z, turned with it elsewhere.
+    The first normal is x where the tangent is z; for another tangent it is turned with it.
     """
     frames = np.empty((*tangents.shape, 3))
     frame = _turn(np.broadcast_to([0.0, 0.0, 1.0], tangents[:, 0].shape), tangents[:, 0])

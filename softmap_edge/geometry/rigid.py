@@ -5,7 +5,7 @@
     J = [−[q]×  I]  at q: what a small turn (rad) and shift (mm) of the target frame about its origin do to a point;
     covariance (Jᵀ W J)⁻¹, the same six numbers, in the same frame, as the effect `mount`
 
-Units: mm, rad. Limit: from three points an outlier cannot be told; half of the points and more may not be outliers.
+Units: mm, rad. Limits: three points cannot show an outlier; fewer than half of the points may be outliers.
 Pinned by tests/alignment/test_align.py.
 """
 
@@ -21,7 +21,7 @@ Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 STARTS = 300  # triples tried at most: one of them is clean with 99.9 % where 30 % of the points are wrong
-JUDGES = 400  # points on which a start is judged
+COMPARED = 400  # points on which a start is compared
 TUKEY = 6.0  # robust standard deviations beyond which a point's distance counts as wrong
 MEDIAN_3D = 1.538  # median length of a vector of three standard normal numbers
 ROUNDS = 20
@@ -125,14 +125,14 @@ def refined(source: Floats, target: Floats, sigma: Floats, seen: Mask, start: Ri
         start: one pose. Sets of three points or fewer are taken as they are.
     """
     scale = np.broadcast_to(np.maximum(sigma, 1e-9), seen.shape)
-    clean, wanted = np.where(seen[..., None], source, 0.0), np.broadcast_to(target, source.shape)
-    judged = seen.sum(axis=1) > 3
+    clean, aim = np.where(seen[..., None], source, 0.0), np.broadcast_to(target, source.shape)
+    weighted = seen.sum(axis=1) > 3
     poses = RigidPose(np.tile(start.rotation, (len(clean), 1, 1)), np.tile(start.shift, (len(clean), 1)))
     weight = seen.astype(float)
     for _ in range(ROUNDS):
-        distance = np.where(seen, np.linalg.norm(poses(clean) - wanted, axis=-1) / scale, np.nan)
-        weight = np.where(judged[:, None], _biweight(distance), seen)
-        before, poses = poses, kabsch(clean, wanted, weight / scale**2)
+        distance = np.where(seen, np.linalg.norm(poses(clean) - aim, axis=-1) / scale, np.nan)
+        weight = np.where(weighted[:, None], _biweight(distance), seen)
+        before, poses = poses, kabsch(clean, aim, weight / scale**2)
         if max(np.abs(poses.rotation - before.rotation).max(), np.abs(poses.shift - before.shift).max()) < 1e-9:
             break
     return poses, weight
@@ -164,7 +164,7 @@ def _best_start(s: Floats, q: Floats, scale: Floats, start: RigidPose) -> RigidP
     every = RigidPose(
         np.concatenate([start.rotation[None], poses.rotation]), np.concatenate([start.shift[None], poses.shift])
     )
-    some = slice(None, None, 1 + count // JUDGES)
+    some = slice(None, None, 1 + count // COMPARED)
     median = np.median(np.linalg.norm(every(s[None, some]) - q[some], axis=-1) / scale[some], axis=-1)
     best = int(np.argmin(median))
     return RigidPose(every.rotation[best], every.shift[best])

@@ -23,7 +23,7 @@ NEGLIGIBLE = 1e-4  # of the largest kernel value
 # How many times too long distances are that are in another unit than mm.
 TIP_SHARE = 0.05  # of the vertices: those that move most
 UNITS = {1e-3: "metres", 0.01: "tenths of a metre", 0.1: "centimetres", 1 / 25.4: "inches", 10.0: "tenths of a mm"}
-ALONE = 1e-3  # of the largest singular value: the least at which mean, cos and sin are told apart
+ALONE = 1e-3  # of the largest singular value: the least at which mean, cos and sin are distinguished
 UNIT_FRAMES = 60  # on which the size of a run's points is found
 NEAR_UNIT = 0.3  # by how much shapes that bend may miss that number
 STALK = 0.25  # of the template's extent: a marker farther from it is not on the robot
@@ -116,13 +116,13 @@ def other_unit(points: Floats, rest: Floats) -> tuple[float, str] | None:
     Args:
         points: (K, N, 3), NaN where one was not seen. rest: (N, 3) mm, the same points as they should be, in any pose.
     """
-    told = np.flatnonzero(np.isfinite(points).all(axis=(1, 2)))
-    whole = points[told[:: max(1, len(told) // UNIT_FRAMES)]]
+    usable = np.flatnonzero(np.isfinite(points).all(axis=(1, 2)))
+    sample = points[usable[:: max(1, len(usable) // UNIT_FRAMES)]]
     wide = float(rest.std(axis=0).max()) if len(rest) > 1 else 0.0
-    if not len(whole) or not wide > 0:
+    if not len(sample) or not wide > 0:
         return None
     # about their middle, so that neither turns nor shifts count; a body that bends into a circle halves it
-    ratio = float(np.median(np.sqrt(whole.var(axis=1).sum(axis=1) / rest.var(axis=0).sum())))
+    ratio = float(np.median(np.sqrt(sample.var(axis=1).sum(axis=1) / rest.var(axis=0).sum())))
     return next(((ratio, name) for factor, name in UNITS.items() if abs(ratio / factor - 1.0) < NEAR_UNIT), None)
 
 
@@ -177,16 +177,16 @@ def seen_residual(residual: Floats, body: BodyCoordinates, seen: NDArray[np.bool
         inside = np.flatnonzero(body.section == s)
         weight = seen[:, inside].astype(float)
         if body.angle is None:
-            told = weight.any(axis=1)
-            features[told, s] = known[told][:, inside].sum(axis=1) / weight[told].sum(axis=1)[:, None]
+            usable = weight.any(axis=1)
+            features[usable, s] = known[usable][:, inside].sum(axis=1) / weight[usable].sum(axis=1)[:, None]
             continue
         angle = body.angle[inside]
         basis = np.column_stack([np.ones(len(inside)), np.cos(angle), np.sin(angle)])
         gram = np.einsum("kn,na,nb->kab", weight, basis, basis, optimize=True)
         size = np.linalg.eigvalsh(gram)
-        told = (weight.sum(axis=1) >= 6) & (size[:, 0] > ALONE**2 * size[:, -1])
-        right = np.einsum("na,knc->kac", basis, known[told][:, inside], optimize=True)
-        features[told, s::count] = np.linalg.solve(gram[told], right)
+        usable = (weight.sum(axis=1) >= 6) & (size[:, 0] > ALONE**2 * size[:, -1])
+        right = np.einsum("na,knc->kac", basis, known[usable][:, inside], optimize=True)
+        features[usable, s::count] = np.linalg.solve(gram[usable], right)
     return features
 
 

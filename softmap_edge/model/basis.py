@@ -77,7 +77,7 @@ class Basis:
         return len(self.penalty(channels))
 
     def __str__(self) -> str:
-        """Say in a few words what the map is made of."""
+        """Return a short description of the map."""
         if self.intervals:
             return f"cubic splines of {self.intervals} intervals"
         return f"degree {self.degree}" + (" in the pulls of the cables" if self.pulled else "")

@@ -65,7 +65,7 @@ _MAX_BYTES = 256 << 20
 _MOST = {".json": 16 << 20, ".npz": _MAX_BYTES, ".onnx": MAX_ONNX_BYTES, ".toml": MOST_TEXT, ".py": MAX_EFFECT_BYTES}
 SAFETY = "safety.toml"
 _FILES = ("prior.npz", "template.npz", "fields.npz", "effects.json")
-# Those that its manifest may name beside them.
+# Further files that its manifest may name.
 _PERHAPS = ("prior.onnx", "residual.onnx", "residual.npz", "calibration.json", SAFETY)
 Trust = Callable[[Path, str], bool]
 
@@ -223,7 +223,7 @@ def builtin_model() -> Model:
 
 
 def _allow(file: Path, name: str, digest: str, trust: Trust | None) -> None:
-    """See that the effect `name` of a bundle is loaded, by running `file` only if `trust` says so."""
+    """Load the effect `name` of a bundle; run `file` only if `trust` allows it."""
     from softmap_edge.model.user_effect import load_effect
 
     known = _loaded().get(name)
@@ -247,7 +247,7 @@ def _named(manifest: Document) -> list[str]:
 
 
 def _arrays(folder: Path, manifest: Document, trusted: Trust) -> tuple[dict[str, Arrays], Document]:
-    """Read the archives of a bundle, and what is said of graphs that became tables of it.
+    """Read the archives of a bundle, and the provenance of graphs that became tables.
 
     Only finite numbers of a plausible size, which also keeps overflow out later.
     """

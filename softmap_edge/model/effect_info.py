@@ -15,7 +15,7 @@ from softmap_edge import _core
 class Parameter:
     """A parameter of an effect: no change at `null`; a fit starts at `start` and searches from `low` to `high`.
 
-    `per_channel`, `per_cable` and `per_pair` say what has a number of its own; `shared` numbers are equal unless they
+    `per_channel`, `per_cable` and `per_pair` name what has a number of its own; `shared` numbers are equal unless they
     are split. Where the data require it, a fit goes beyond `high`: to `half_ranges` of the command, or to the weight
     that moves the body by so many of its `lengths`. An `instant` is a time of the run, in seconds.
     """

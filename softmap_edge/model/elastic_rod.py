@@ -75,7 +75,7 @@ class Change:
 class ElasticParameters:
     """A rod with its numbers (P,) and the nominal `flexibility` of its tendons, mm per N, for its load fields.
 
-    `free` says which of its numbers a run has told: for each the group in which it moved, -1 for what was known.
+    `free` has, for each number, the group in which a fit changed it; -1 where it was known and stayed fixed.
     """
 
     layout: RodLayout
@@ -153,7 +153,7 @@ class ElasticParameters:
         return cls(layout, np.array(lists["numbers"]), lists["flexibility"][0], tuple(map(int, free)))
 
     def changeable(self) -> list[Change]:
-        """Return the numbers that a run has told, as changes of what they are now."""
+        """Return the numbers that were fitted to a run, as changes of what they are now."""
         first: dict[int, int] = {}
         for i, group in enumerate(self.free):
             if group >= 0:
@@ -200,7 +200,7 @@ class ElasticParameters:
         return replace(self, numbers=numbers)
 
     def __str__(self) -> str:
-        """Say in a line what it is."""
+        """Return a one-line description."""
         layout, slack = self.layout, float(self.numbers[0])
         law = {0.0: "cables (slack 0)", 1.0: "two-sided (slack 1)"}.get(slack, f"slack {slack:.3f}")
         return f"elastic rod of {layout.segments} segments and {len(layout.ends)} tendons, {law}"
@@ -301,16 +301,16 @@ class Coordinates:
     def fitted_numbers(self, x: Floats, sigma: Floats) -> list[tuple[float, float, str]]:
         """Return value, one standard deviation and unit of each free number, as a robot's file has them.
 
-        A number that moves several which start apart is told as the factor, or the angle or mm, by which it moves them.
+        A free number that moves several different ones is given as their factor, or as their change in deg or mm.
         """
-        numbers, told = self.numbers(x), []
+        numbers, fitted = self.numbers(x), []
         for i, (kind, indices) in enumerate(zip(self.kinds, self.moved)):
             unit, alike = KINDS[kind].unit, bool(np.ptp(self.start[indices]) == 0)
             if self.factor[i]:
                 value = float(numbers[indices[0]] if alike else np.exp(x[i]))
-                told.append((value, value * float(sigma[i]), unit if alike else "times"))
+                fitted.append((value, value * float(sigma[i]), unit if alike else "times"))
             else:
                 turn = 180.0 / np.pi if unit == "deg" else 1.0
                 value = float(numbers[indices[0]] if alike else x[i])
-                told.append((value * turn, float(sigma[i]) * turn, unit))
-        return told
+                fitted.append((value * turn, float(sigma[i]) * turn, unit))
+        return fitted

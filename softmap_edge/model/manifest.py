@@ -1,4 +1,4 @@
-"""The manifest of a bundle: what a folder says that it holds, every field checked before anything else is read.
+"""The manifest of a bundle: its declared contents, every field checked before anything else is read.
 
 Pinned by tests/model/test_bundle.py.
 """
@@ -25,7 +25,7 @@ LARGEST = 1e9  # mm, g, N, s: beyond any robot, and far from where float64 overf
 
 
 def check_within(file: Path) -> None:
-    """Raise BundleError where a file of a bundle is a link to a file elsewhere."""
+    """Raise BundleError where a file of a bundle is a link to a file outside its folder."""
     if file.is_symlink() and file.resolve().parent != file.parent.resolve():
         raise BundleError(
             f"{file.parent.name}: {file.name} is a link to a file outside the bundle; copy the bundle with its files "

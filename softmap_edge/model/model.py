@@ -49,7 +49,7 @@ KEPT_VIEWS = 4  # as many as runs that are diagnosed together may differ in
 class Model:
     """A structure and the effects added to it.
 
-    `form_error` (V, 3) mm is the measured held-out error of each feature; `made_from` says what made the model
+    `form_error` (V, 3) mm is the measured held-out error of each feature; `made_from` is the provenance of the model
     (versions, seeds, hashes); `arrays` are the contents of `prior.npz`, `fields.npz` and `residual.npz`, from which the
     structure was compiled. The residual was learned with these effects; with others it is gone. `handles` (H,) are the
     vertices that ask for the cloud in the published registration, ascending; None for all.
@@ -198,7 +198,7 @@ class Model:
         there |= set() if self.structure.contact is None else {"contact"}
         there |= set(self.prior.numbers)
         chain = _core.Chain([name], self.channels)
-        return [wanted for wanted in (*chain.fields, *chain.numbers) if wanted not in there]
+        return [required for required in (*chain.fields, *chain.numbers) if required not in there]
 
     def with_effects(self, names: Sequence[str], params: Floats | Mapping[str, float]) -> Model:
         """Return a model whose chain holds exactly `names` with `params` (in chain order, or by label).
@@ -247,10 +247,10 @@ class Model:
         """
         kept = {name: group for name, group in self.arrays.items() if name != "residual"}
         if arrays is None:
-            made = {name: told for name, told in self.made_from.items() if name != "residual"}
+            made = {name: details for name, details in self.made_from.items() if name != "residual"}
             return replace(self.with_structure(residual=None), arrays=kept, made_from=made)
         residual = family_from(arrays)
-        _core.Sum(self.prior, residual)  # agrees, or says so
+        _core.Sum(self.prior, residual)  # raises unless they agree
         return replace(self.with_structure(residual=residual), arrays=kept | {"residual": dict(arrays)})
 
     def changes(self, names: Sequence[str]) -> list[Change]:
@@ -296,7 +296,7 @@ class Model:
 
     @cached_property
     def _elastic(self) -> ElasticParameters | None:
-        """The elastic rod that the prior is, if a run has told some of its numbers."""
+        """The elastic rod of the prior, if some of its numbers were fitted to a run."""
         if "free" not in self.arrays.get("prior", {}):
             return None
         from softmap_edge.model.elastic_rod import ElasticParameters

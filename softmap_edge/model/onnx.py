@@ -187,13 +187,13 @@ def run_onnxruntime(content: bytes, commands: Floats) -> Floats:
         raise BundleError("onnxruntime is not installed; run pip install onnxruntime") from None
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = options.inter_op_num_threads = 1
-    options.log_severity_level = 4  # what it has to say becomes an error here
+    options.log_severity_level = 4  # its messages become an error here
     try:
         session = onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
         (given,) = session.get_inputs()
         parts = [commands[k : k + BATCH].astype(np.float32) for k in range(0, len(commands), BATCH)]
         found = [session.run(None, {given.name: part})[0] for part in parts]
-    # Its errors have no common class beside Exception.
+    # Its errors have no common base class but Exception.
     except Exception as fault:
         if "allocate" in str(fault) or isinstance(fault, MemoryError):
             raise BundleError(f"it needs more than {CHILD_MB} MB of memory; use a smaller graph") from None

@@ -43,7 +43,7 @@ def priors_by_orientation(model: Model, run: Run) -> list[tuple[Rows, Shape]]:
 
 
 def other_orientation(model: Model, run: Run) -> bool:
-    """Return whether some frames are in another orientation than the prior, and the model knows what that does."""
+    """Return whether some frames are in another orientation than the prior, and the model can predict its influence."""
     return any(gravity is not None for _, gravity in _orientations(model, run))
 
 

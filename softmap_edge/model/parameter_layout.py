@@ -69,7 +69,7 @@ class Layout:
 
     @property
     def middle(self) -> Floats:
-        """Mid-range (P,): halfway from null to the far end, or the start where the scale is logarithmic."""
+        """Typical strength (P,): halfway from null to the far end, or the start where the scale is logarithmic."""
         far = np.where(self.high > self.null, self.high, self.low)
         return np.where(self.declared, np.where(self.log, self.start, 0.5 * (self.null + far)), self.null)
 

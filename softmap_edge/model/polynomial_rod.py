@@ -42,8 +42,8 @@ class RodParameters:
 
     `base` (3,) mm, `centre` and `scale` (C,) in command units, `degree`, `angles` (1 + F, 2K) rad, `lengths` (1 + G, K)
     mm, the nominal `compliance` of its load fields in N⁻¹·mm⁻² and their `lock`: how far the tendons hold each chord's
-    mean bending against a load, 0 (not at all) to 1 (motors that hold, tendons that do not stretch). `pulled` says that
-    the polynomial is one of the pulls of two cables a command; with `intervals` it is a sum of splines of so many.
+    mean bending against a load, 0 (not at all) to 1 (motors that hold, tendons that do not stretch). With `pulled` the
+    polynomial is in the pulls of two cables a command. With `intervals` it is a sum of splines of so many intervals.
     """
 
     base: Floats
@@ -78,7 +78,7 @@ class RodParameters:
         return arrays | {name: np.array([value]) for name, value in single.items()}
 
     def __str__(self) -> str:
-        """Say in a line what it is."""
+        """Return a one-line description."""
         return f"rod of {self.lengths.shape[1]} chords, {self.basis}"
 
     @classmethod

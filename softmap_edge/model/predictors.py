@@ -88,7 +88,7 @@ def _through(
 
 
 def _seen(structure: Structure, shape: Shape) -> Shape:
-    """Return a shape of few outputs as fits want it: a network as a table."""
+    """Return a shape of few outputs in the form for fits: a network as a table."""
     if not isinstance(shape, _core.Network):
         return shape
     from softmap_edge.model.onnx import tabulated

@@ -3,7 +3,7 @@
 A bench's `rig.toml` is the ceiling; these limits can only tighten it (`robot/servo/limits.py`). `derived` takes them
 from the model: the window is where the simulation (or the run that taught) has been, tension and strain are the largest
 that it holds there. The strain is that of the surface's triangles against their rest, λ − 1 of the larger principal
-stretch; inside a body that bends it is smaller. What nothing tells is a choice, and says so.
+stretch; inside a body that bends it is smaller. A limit that neither gives is a choice, and `assumes` lists it.
 Pinned by tests/model/test_safety.py.
 """
 
@@ -32,7 +32,7 @@ SCHEMA = "softmap.safety/1"
 MARGIN = 1.5  # a cast silicone's modulus is known to a half: so much harder than simulated may a tendon pull
 CROSSING = 4.0  # s in which the widest command crosses its window
 START = 10.0  # 1/s: the slew is reached in a tenth of a second
-JUMP = 0.25  # of the window: what a target jumps at most without being told
+JUMP = 0.25  # of the window: largest jump of a target without a report
 MOST_LOOKS = 700  # commands of the window at which tension and strain are looked at
 LEAST_LOOKS = 3  # along each command
 FAR, HIGHEST = 3.0, 1000.0  # times the simulated tension that may be allowed at most, and N where none was simulated
@@ -51,7 +51,7 @@ class Safety:
     """Limits of a finger of C commands in `unit` (mm or another command unit).
 
     low, high: (C,) the window of commands · slew, acceleration: per s and s² of each command · jump: by which a target
-    may jump untold, and beyond which it is refused · tension: N of any tendon, None where no simulation tells ·
+    may jump unreported, and beyond which it is refused · tension: N of any tendon, None without a simulation ·
     stale, hold, slacken, ramp: s, as in docs/reference/safety.md · band: that a goal comes back before its servo
     turns · turns: reversals a second in the long run, `burst` at once · simulated: the largest tension (N) and strain
     in the window and the modulus (MPa) that they belong to, as far as known · assumes: that in words, and what is a
@@ -82,8 +82,8 @@ class Safety:
         low, high = np.maximum(low, self.low), np.minimum(high, self.high)
         if np.any(low >= high):
             return None
-        told, refused = (min(jump, float(np.ptp(reach, axis=1).max())) for jump in self.jump)
-        return replace(self, low=tuple(low.tolist()), high=tuple(high.tolist()), jump=(told, refused))
+        reported, refused = (min(jump, float(np.ptp(reach, axis=1).max())) for jump in self.jump)
+        return replace(self, low=tuple(low.tolist()), high=tuple(high.tolist()), jump=(reported, refused))
 
     def to_toml(self) -> str:
         """Return the text of `safety.toml`."""
@@ -152,8 +152,8 @@ def _read(top: TomlTable, reach: Floats, unit: str) -> Safety:
                 f"{command.where}: window of command {c + 1} is {low[c]:g} to {high[c]:g} {unit}; allowed is low < "
                 f"high within {least:g} to {most:g}, where the model has been"
             )
-    told, refused = _needed_pair(command, "jump", width)
-    # What the file itself says was simulated may be edited too: `held_to` asks the model.
+    reported, refused = _needed_pair(command, "jump", width)
+    # The simulated values in the file may be edited too: `held_to` compares with the model.
     highest = HIGHEST if found["tension_n"] is None else FAR * found["tension_n"]
     safety = Safety(
         unit=unit,
@@ -161,7 +161,7 @@ def _read(top: TomlTable, reach: Floats, unit: str) -> Safety:
         high=tuple(high.tolist()),
         slew=_needed(command, "slew", 1e-4 * width, 20.0 * width),
         acceleration=_needed(command, "acceleration", 1e-4 * width, 2000.0 * width),
-        jump=(told, refused),
+        jump=(reported, refused),
         tension=tendon.number("tension_n", None, 1e-3, max(1e-3, highest)),
         stale=_allowed(times, "stale"),
         hold=_allowed(times, "hold"),
@@ -200,33 +200,33 @@ def _needed_pair(table: TomlTable, key: str, most: float) -> tuple[float, float]
     return float(value[0]), float(value[1])
 
 
-def held_to(told: Safety, model: Model) -> Safety:
+def held_to(given: Safety, model: Model) -> Safety:
     """Return the limits of a file with the tension that the model allows where the file is silent of one.
 
     Raises:
         BundleError: it allows more than FAR times the largest tension that the model itself was simulated with.
     """
-    if model.channels == 0 or told.unit != "mm":
-        return told
+    if model.channels == 0 or given.unit != "mm":
+        return given
     most = _tension(model, _looks(*(_inward(side) for side in np.asarray(model.command_range, float).T)))
     if not most:
-        return told
-    if told.tension is None:
-        return replace(told, tension=_digits(MARGIN * most))
-    if told.tension > FAR * most * (1.0 + 1e-3):  # a file holds four digits
+        return given
+    if given.tension is None:
+        return replace(given, tension=_digits(MARGIN * most))
+    if given.tension > FAR * most * (1.0 + 1e-3):  # a file holds four digits
         raise BundleError(
-            f"safety.toml: tension_n = {told.tension:g}, allowed is up to {FAR * most:.4g} N, {FAR:g} times what the "
+            f"safety.toml: tension_n = {given.tension:g}, allowed is up to {FAR * most:.4g} N, {FAR:g} times what the "
             "model was simulated with; mend it there, or build the bundle again"
         )
-    return told
+    return given
 
 
 def derived(model: Model, modulus: float | None = None) -> Safety | None:
-    """Return the limits that a model tells of; None where nothing is commanded.
+    """Return the limits that follow from a model; None where nothing is commanded.
 
     Args:
-        model: its prior, surface and, if it was simulated, the pull of its tendons. modulus: MPa of the simulation, if
-            that is known.
+        model: its prior, surface and, if it was simulated, the pull of its tendons.
+        modulus: MPa of the simulation, if that is known.
     """
     if model.channels == 0:
         return None
@@ -262,7 +262,7 @@ def derived(model: Model, modulus: float | None = None) -> Safety | None:
 
 
 def _assumes(model: Model, tension: float | None, modulus: float | None) -> str:
-    """Say what the limits rest on."""
+    """Return the assumptions of the limits, in words."""
     chosen = "slew, times and reversals are choices"
     if tension is not None:
         of = "an unnamed modulus" if modulus is None else f"a modulus of {modulus:g} MPa"
@@ -292,7 +292,7 @@ def _looks(low: Floats, high: Floats) -> Floats:
 
 
 def _tension(model: Model, looks: Floats) -> float | None:
-    """Return the largest tension (N) of any tendon, None where the model does not know its pull."""
+    """Return the largest tension (N) of any tendon, None where the model has no pull of its tendons."""
     prior = model.arrays.get("prior", {})
     if "pull" not in prior or not any(key.startswith("axis") for key in prior):
         return None

@@ -51,7 +51,7 @@ class Calibration:
     `A` (C, C) in `unit` a tick, `b` (C,) in `unit`, `home` (C,) ticks, `sigma_A` and `sigma_b` their standard
     deviations; `held_out` is `{command, shape_mm, matched_shape_mm}`, the RMS error on blocks that were left out, and
     what the matches leave of their shapes; `run` the hash of the run it was found from, `frames` and `held` how many
-    frames and held commands; `window` (low, high) ticks about home that a servo may take, None where nobody said.
+    frames and held commands; `window` (low, high) ticks about home that a servo may take, None where none is given.
 
     Raises:
         CalibrationError: a field is none of that.
@@ -102,15 +102,17 @@ class Calibration:
         A: ArrayLike,
         b: ArrayLike,
         home: ArrayLike,
-        said: str,
+        source: str,
         window: tuple[float, float] | None = None,
         unit: str = "mm",
     ) -> Calibration:
-        """Return a map that nobody measured but that is so, of an emulated robot or of a bench told by its user: no
-        doubt, no error, no frames; `said` stands where the run would."""
+        """Return an exact map that was not measured: of an emulated robot, or of a rig described by its user.
+
+        It has no uncertainty, no error and no frames; `source` stands in place of the run.
+        """
         slope, shift = np.asarray(A, float), np.asarray(b, float)
         none = dict.fromkeys(ERRORS, 0.0)
-        return cls(slope, shift, np.asarray(home, float), 0 * slope, 0 * shift, none, said, 0, 0, window, unit)
+        return cls(slope, shift, np.asarray(home, float), 0 * slope, 0 * shift, none, source, 0, 0, window, unit)
 
     @property
     def condition(self) -> float:
@@ -134,13 +136,15 @@ class Calibration:
         return np.asarray(self.A @ (ticks - self.home) + self.b)
 
     def turned(self, home: ArrayLike) -> Calibration:
-        """Return the map with its home moved by whole turns of the servos, to within half a turn of `home` (C,) ticks:
-        after their power was off, servos count turns anew."""
+        """Return the map with its home moved by full turns of the servos, to within half a turn of `home` (C,) ticks.
+
+        Servos start to count turns again after their power was off.
+        """
         turns = np.rint((np.asarray(home, float) - self.home) / TURN)
         return replace(self, home=self.home + TURN * turns) if turns.any() else self
 
     def holding(self, reach: ArrayLike) -> tuple[float, float]:
-        """Return the window (low, high) of ticks about home that holds a whole range `reach` (C, 2) of commands."""
+        """Return the window (low, high) of ticks about home that holds the full range `reach` (C, 2) of commands."""
         away = self.ticks(list(product(*np.asarray(reach, float)))) - self.home
         return float(away.min()), float(away.max())
 
@@ -267,10 +271,10 @@ def _commanded(run: Run, calibration: Calibration) -> Run:
         present=calibration.commands(run.present_ticks) if encoded and run.present_ticks is not None else run.present,
         command_unit=calibration.unit if run.ticks is not None else run.command_unit,
     )
-    whole = _driven(run, drive)
+    driven = _driven(run, drive)
     if calibration.unit == TICKS:
-        object.__setattr__(whole, "extra", {**run.extra, HOME_TICKS: np.asarray(calibration.home)})
-    return whole
+        object.__setattr__(driven, "extra", {**run.extra, HOME_TICKS: np.asarray(calibration.home)})
+    return driven
 
 
 def from_home(runs: Sequence[Run]) -> tuple[list[Run], Calibration | None]:
@@ -313,10 +317,10 @@ def held_in_ticks(run: Run) -> Run:
 
 def _driven(run: Run, drive: Run) -> Run:
     """Return a run with the commands of another."""
-    whole = copy(run)  # not `replace`, which would check again what was seen, at every prediction
+    driven = copy(run)  # not `replace`, which would check again what was seen, at every prediction
     for name in ("command", "present", "ticks", "present_ticks", "command_unit"):
-        object.__setattr__(whole, name, getattr(drive, name))
-    return whole
+        object.__setattr__(driven, name, getattr(drive, name))
+    return driven
 
 
 def _numbers(name: str, value: object) -> Floats:

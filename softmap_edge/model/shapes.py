@@ -1,6 +1,6 @@
 """Compiled shapes from the arrays of a bundle: the prior's family, its fields, how cables answer, what large loads add.
 
-What an array is called says what it is: `axis0…` or `nodes`, `coefficients`, `mean` and `modes` of a family, or `onnx`;
+The name of an array gives its role: `axis0…` or `nodes`, `coefficients`, `mean` and `modes` of a family, or `onnx`;
 `coefficients_NAME` of a field, `tension_0…` among them; `pull`, `stiffness` and `stretch` of cables; `second_…`.
 Arrays may be whole numbers of steps (`npz.unpacked`). Units: those of `_core.FIELDS`. Pinned by
 tests/model/test_bundle.py.
@@ -17,7 +17,7 @@ from softmap_edge import _core
 from softmap_edge.files.atomic import Document
 from softmap_edge.files.npz import unpacked
 
-_SHARED = ("modes", "nodes", "scale", "power")  # what the fields of one bundle have in common beside their axes
+_SHARED = ("modes", "nodes", "scale", "power")  # what the fields of one bundle have in common besides their axes
 _TENSION = "tension_"  # what the field of a tendon is called, before its number
 
 
@@ -61,7 +61,7 @@ def fields_from(arrays: Mapping[str, NDArray[np.generic]]) -> Document:
 def cables_from(
     prior: Mapping[str, NDArray[np.generic]], fields: Mapping[str, NDArray[np.generic]]
 ) -> _core.Cables | None:
-    """Return the cables stored as `pull` beside the prior, and as `stiffness`, `stretch` and tension fields.
+    """Return the cables stored as `pull` alongside the prior, and as `stiffness`, `stretch` and tension fields.
 
     None for a prior without them: its fields answer loads alone.
     """
@@ -101,13 +101,13 @@ def second_from(fields: Mapping[str, NDArray[np.generic]]) -> _core.Second | Non
     """
     if "second_weights" not in fields:
         return None
-    whole = unpacked(fields)
+    unpacked_fields = unpacked(fields)
     numbers = {
         name.removeprefix("second_"): np.asarray(array, np.float64)
-        for name, array in whole.items()
+        for name, array in unpacked_fields.items()
         if name.startswith("second_")
     }
-    modes = numbers["modes"] @ np.asarray(whole["modes"], np.float64)
+    modes = numbers["modes"] @ np.asarray(unpacked_fields["modes"], np.float64)
     axes = [numbers[f"axis{c}"] for c in range(sum(name.startswith("axis") for name in numbers))]
 
     def rows(of: str) -> NDArray[np.float64]:

@@ -28,7 +28,7 @@ class Structure:
     """What moves, and how it moves with commands and loads.
 
     `prior` maps commands (n, C) to flattened points (n, 3N) mm; `fields` are displacements per 1 g or per 1 N;
-    `rest` (N, 3) mm are the template's vertices or the markers at rest. `body` says how the points lie along a body
+    `rest` (N, 3) mm are the template's vertices or the markers at rest. `body` is how the points lie along a body
     that does not stand along z or has no mesh. Without `stiffness_known` the fields have a nominal scale: loads that
     a run declares are not applied, and no fitted load is a weight in grams. `residual` is a learned correction of the
     prior, of the same commands and points.

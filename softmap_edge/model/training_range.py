@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from softmap_edge.run.run import Run
 
 Floats = NDArray[np.float64]
-BEYOND = 0.05  # share of its range by which a command may leave it before a word is said
+BEYOND = 0.05  # share of its range by which a command may leave it before a note is given
 UNLIKE = 0.015  # of the robot's length: a shape that is farther from all of its model's is another
 
 
@@ -29,10 +29,10 @@ def command_extrapolation(model: Model, run: Run) -> list[str]:
     and for loads that it cannot apply.
     """
     u, notes = model.commands(run), []
-    said = _taught(model, "prior") is not None  # of a trained prior by `training_extrapolation`, once
+    noted = _taught(model, "prior") is not None  # of a trained prior by `training_extrapolation`, once
     if model.coverage is not None:
-        notes, said = _uncovered(model, run), True
-    for c, (low, high) in enumerate(model.command_range if len(u) and not said else ()):
+        notes, noted = _uncovered(model, run), True
+    for c, (low, high) in enumerate(model.command_range if len(u) and not noted else ()):
         least, most = float(u[:, c].min()), float(u[:, c].max())
         slack = BEYOND * (high - low)
         if least < low - slack or most > high + slack:
@@ -42,11 +42,11 @@ def command_extrapolation(model: Model, run: Run) -> list[str]:
             )
     notes += training_extrapolation(model, run)
     gravity = model.gravity_reference if run.gravity is None else run.gravity
-    told = [] if np.allclose(gravity, model.gravity_reference, atol=1e-3) else ["another gravity"]
-    told += [] if run.load is None or not np.any(run.load) else ["a load"]
-    if told and not model.structure.stiffness_known:
+    declared = [] if np.allclose(gravity, model.gravity_reference, atol=1e-3) else ["another gravity"]
+    declared += [] if run.load is None or not np.any(run.load) else ["a load"]
+    if declared and not model.structure.stiffness_known:
         notes.append(
-            f"the run declares {' and '.join(told)}; how stiff '{model.robot}' is is not known to its model, so "
+            f"the run declares {' and '.join(declared)}; how stiff '{model.robot}' is is not known to its model, so "
             "that is not applied"
         )
     return notes
@@ -91,13 +91,13 @@ def training_extrapolation(model: Model, run: Run) -> list[str]:
         if outside.any():
             count = int(outside.any(axis=1).sum())
             least, most, unit = u.min(axis=0), u.max(axis=0), model.command_unit
-            told = ", ".join(
+            exceeded = ", ".join(
                 f"channel {c} from {low[c]:.3g} to {high[c]:.3g} {unit}, here from {least[c]:.3g} to {most[c]:.3g}"
                 for c in np.flatnonzero(outside.any(axis=0))
             )
             notes.append(
                 f"{count} of {len(u)} frames ({100 * count / len(u):.0f} %) leave what taught the {what} of "
-                f"'{model.robot}': {told}; beyond, it extrapolates"
+                f"'{model.robot}': {exceeded}; beyond, it extrapolates"
             )
     return notes
 
@@ -116,7 +116,7 @@ def shape_mismatch(model: Model, mae: Floats) -> list[str]:
     return [
         f"{count} of {len(known)} shapes ({100 * count / len(known):.0f} %) are like none that '{model.robot}' makes "
         f"at any command: {limit:.2g} mm off or more, up to {known.max():.2g} (mean absolute error; median of all "
-        f"{np.median(known):.2g}): a contact, a load, another frame; what it says of them is extrapolated"
+        f"{np.median(known):.2g}): a contact, a load, another frame; its results on them are extrapolated"
     ]
 
 
@@ -126,7 +126,7 @@ def span(commands: Floats) -> list[list[float]]:
 
 
 def _taught(model: Model, key: str) -> tuple[Floats, Floats] | None:
-    """Return least and most (C,) of the commands that taught a part of a model; None where its file does not say."""
+    """Return least and most (C,) of the commands that taught a part of a model; None where its file has none."""
     part: Any = model.made_from.get(key)
     try:
         found = np.asarray(part.get("command_range") if isinstance(part, Mapping) else None, float)
@@ -162,10 +162,14 @@ def check_commands(model: Model, run: Run, u: Floats) -> None:
 
 
 def out_of_reach(model: Model, run: Run) -> list[str]:
-    """Say so where the points of a run are farther from the base than the robot can reach.
+    """Return a sentence where the points of a run are farther from the base than the robot can reach.
 
     Args:
-        run: with K frames seen. Returns: no sentence, or one.
+        model: the model.
+        run: with K frames seen.
+
+    Returns:
+        list: no sentence, or one.
     """
     if not run.frames:
         return []

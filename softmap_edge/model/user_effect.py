@@ -1,8 +1,8 @@
 """A user's own effect: one Python file that declares a law of the commands; it joins the library of this process.
 
 The file holds `EFFECT`, the declaration, and `rollout(params (B, P), u (B, T, C) mm, t (T,) s, ctx)`, which returns
-what acts (B, T, C) mm; `template` writes one that runs as it is. Loading it executes it, with all rights of whoever
-runs the process, so nothing here loads by itself: a bundle carries a copy and its hash, and whoever opens it decides.
+what acts (B, T, C) mm; `template` writes one that runs as it is. Loading it executes it, with all
+rights of the process, so nothing here loads by itself. A bundle carries a copy and its hash; its user decides.
 A name stands for one file: another file of the same name is refused until `forget_effect`. The law is called for each
 record with B = 1, remembers nothing between calls and begins in equilibrium with its first sample; that it changes
 nothing at its null values is tried once for each number of channels. It has no step, so no control loop takes it.
@@ -37,7 +37,7 @@ from softmap_edge.model.manifest import EFFECT_NAME, MAX_EFFECT_BYTES
 Floats = NDArray[np.float64]
 
 STAGES = ("command", "transmission", "material")
-FIELDS = ("gravity", "load", "temperature")  # what a law may need of a run beside its commands
+FIELDS = ("gravity", "load", "temperature")  # what a law may need of a run besides its commands
 LONGEST = 1000  # characters of a text
 NULL_MM = 1e-9  # by which a law may change a command of 1 mm at its null values: round-off
 
@@ -219,7 +219,7 @@ def _execute(file: Path, source: bytes) -> ModuleType:
 
 
 def _declaration(where: str, given: object) -> Document:
-    """Return the declaration that a file gives, whole and of the right kinds."""
+    """Return the declaration of a file, complete and of the right types."""
     if not isinstance(given, dict):
         raise EffectError(f"{where}: EFFECT is missing or no table; `softmap model effects new NAME` writes the form")
     known = ("name", *_TEXTS, "parameters", *_OPTIONAL)
@@ -250,8 +250,8 @@ def _declaration(where: str, given: object) -> Document:
 def _parameter(where: str, given: object) -> Document:
     if not isinstance(given, dict):
         raise EffectError(f"{where}: a parameter is {type(given).__name__}, expected a table with name, unit, null, …")
-    wanted = ("name", "unit", *_NUMBERS, "doc")
-    _keys(where, "a parameter", given, wanted, (*wanted, *_SWITCHES))
+    required = ("name", "unit", *_NUMBERS, "doc")
+    _keys(where, "a parameter", given, required, (*required, *_SWITCHES))
     found: Document = _SWITCHES | given
     _check_name(where, found["name"])
     label = f"parameter {found['name']}"
@@ -273,8 +273,8 @@ def _parameter(where: str, given: object) -> Document:
     return found
 
 
-def _keys(where: str, what: str, given: dict[Any, Any], wanted: tuple[str, ...], known: tuple[str, ...]) -> None:
-    missing = [key for key in wanted if key not in given]
+def _keys(where: str, what: str, given: dict[Any, Any], required: tuple[str, ...], known: tuple[str, ...]) -> None:
+    missing = [key for key in required if key not in given]
     if missing:
         raise EffectError(f"{where}: {what} has no '{missing[0]}'; it takes {', '.join(known)}")
     odd = [key for key in given if key not in known]
@@ -309,7 +309,7 @@ def _pair(where: str, value: object) -> tuple[Any, float]:
 
 
 class _Law:
-    """Ask a user's `rollout` for one record, and say in one line where it fails or gives something else."""
+    """Call a user's `rollout` for one record, and report in one line where it fails or returns something else."""
 
     def __init__(self, declaration: Document, file: Path, rollout: Callable[..., object]) -> None:
         self._declaration, self._file, self._rollout = declaration, file, rollout
@@ -338,24 +338,24 @@ class _Law:
 
     def _ask(self, params: Floats, u: Floats, t: Floats, context: Context) -> Floats:
         shape = (1, *u.shape)
-        wanted = f"rollout(params (1, {params.size}), u {shape}, t ({t.size},), ctx) must return what acts, {shape}"
+        required = f"rollout(params (1, {params.size}), u {shape}, t ({t.size},), ctx) must return what acts, {shape}"
         me = threading.get_ident()
         _RUNNING.add(me)
         try:
-            with np.errstate(all="ignore"):  # what is not finite is told below, with its parameters
+            with np.errstate(all="ignore"):  # what is not finite is reported below, with its parameters
                 given = self._rollout(params[None], u[None], t, context)
         except BaseException as fault:
             if me not in _RUNNING:
                 raise EffectError(f"{self._head} was interrupted") from None
-            raise EffectError(f"{self._head}{_line(fault, self._file)} raised {_said(fault)}; {wanted}") from None
+            raise EffectError(f"{self._head}{_line(fault, self._file)} raised {_said(fault)}; {required}") from None
         finally:
             _RUNNING.discard(me)
         answer = np.asarray(given) if isinstance(given, np.ndarray | list | tuple | float | int) else None
         if answer is None or answer.dtype.kind not in "biuf":
             kind = type(given).__name__ if answer is None else f"an array of {answer.dtype}"
-            raise EffectError(f"{self._head} returned {kind}; {wanted}")
+            raise EffectError(f"{self._head} returned {kind}; {required}")
         if answer.shape != shape:
-            raise EffectError(f"{self._head} returned an array of shape {answer.shape}; {wanted}")
+            raise EffectError(f"{self._head} returned an array of shape {answer.shape}; {required}")
         if not np.isfinite(answer).all():
             sample, channel = np.argwhere(~np.isfinite(answer[0]))[0]
             numbers = ", ".join(f"{value:.4g}" for value in params[:8])

@@ -41,10 +41,10 @@ class View:
 
 
 def key_of(model: Model, run: Run) -> tuple[bytes, bool]:
-    """Return what tells the views of a model on different runs apart.
+    """Return a key that distinguishes the views of a model on different runs.
 
     Raises:
-        RunError: markers of which nobody says where they are on the template.
+        RunError: the run does not give the places of its markers on the template.
     """
     if model.markers or run.markers is None:
         return b"", roll_seen(model, run)
@@ -61,8 +61,8 @@ def view_of(model: Model, run: Run) -> View:
     """Return how a model sees a run; made once for each `key_of`."""
     if not model.markers and run.markers is not None:
         carry = attach(np.asarray(run.marker_rest, float), model.rest, run.marker_names)
-        whole = FeatureMap(carry, np.ones(len(carry), bool), np.arange(len(carry)))
-        return View(carry, marker_features(len(carry)), np.zeros(0, np.intp), projected(model.structure, whole))
+        all_rows = FeatureMap(carry, np.ones(len(carry), bool), np.arange(len(carry)))
+        return View(carry, marker_features(len(carry)), np.zeros(0, np.intp), projected(model.structure, all_rows))
     own, rows = model.structure.feature_map, np.arange(len(model.structure.positions))
     if not roll_seen(model, run):
         rows = np.flatnonzero(own.positions)
@@ -71,12 +71,12 @@ def view_of(model: Model, run: Run) -> View:
 
 
 def laid(run: Run) -> bool:
-    """Return whether a run's vertices were laid onto clouds, which do not tell the roll of a round finger."""
+    """Return whether a run's vertices were laid onto clouds, which do not show the roll of a round finger."""
     return run.vertices is not None and not bool(np.all(run.extra.get(ROLL_SEEN, True)))
 
 
 def roll_seen(model: Model, run: Run) -> bool:
-    """Return whether a run tells what the body does about its own axis, or the model has no features of that."""
+    """Return whether a run shows the roll of the body about its own axis, or the model has no features of roll."""
     return not laid(run) or bool(model.structure.positions.all())
 
 
@@ -94,10 +94,10 @@ def seen_features(model: Model, run: Run) -> Floats:
 def seen_points(model: Model, run: Run) -> Floats:
     """Return a run's points (K, N, 3) mm after checking that they are points of this robot."""
     seen, carry = run.seen_points, model.view(run).carry
-    wanted = len(model.rest) if carry is None else seen.shape[1]
-    if seen.shape[1] != wanted:
+    count = len(model.rest) if carry is None else seen.shape[1]
+    if seen.shape[1] != count:
         raise RunError(
-            f"the run has {seen.shape[1]} points a frame, this model of '{model.robot}' has {wanted}; "
+            f"the run has {seen.shape[1]} points a frame, this model of '{model.robot}' has {count}; "
             "it is a run of another robot or template"
         )
     return in_scale_of(model, run, np.asarray(seen, float))

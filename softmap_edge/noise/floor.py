@@ -32,7 +32,7 @@ Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 POINTS = 40  # a sample that shows the noise of all points
-MIN_PAIRS = 15  # fewer replicates say nothing about the noise
+MIN_PAIRS = 15  # fewer replicates do not give the noise
 DEGREE = 5  # along the body, of the smooth part of a residual
 SAME = 0.01  # of the largest command: closer than this counts as the same command
 BOUND = "an upper bound"  # how the origin of a floor ends that noise alone does not reach
@@ -41,7 +41,7 @@ BOUND = "an upper bound"  # how the origin of a floor ends that noise alone does
 def noise_floor(
     state: Conditions, seen: Floats, visible: Mask, predicted: Floats, rest: Floats | None = None
 ) -> tuple[float | None, str]:
-    """Estimate the RMS distance of a seen point from its own mean, and say what it was taken from.
+    """Return the RMS distance of a seen point from its own mean, and the source of that estimate.
 
     Args:
         state: conditions of the K frames.
@@ -61,10 +61,10 @@ def noise_floor(
         return None, f"not known: no replicates, and {len(seen)} frames are too few"
     residual = seen - predicted
     bend = np.sum((residual[1:-1] - 0.5 * (residual[2:] + residual[:-2])) ** 2, axis=2)
-    whole = visible[1:-1] & visible[2:] & visible[:-2]
-    if not whole.any():
+    complete = visible[1:-1] & visible[2:] & visible[:-2]
+    if not complete.any():
         return None, "not known: no replicates, and no point is visible in three successive frames"
-    return rms(bend[whole] / 1.5), f"no replicates: from the residual's high-frequency part, {BOUND}"
+    return rms(bend[complete] / 1.5), f"no replicates: from the residual's high-frequency part, {BOUND}"
 
 
 def rms(squares: Floats) -> float:
@@ -142,7 +142,7 @@ def memoryless_floor(run: Run, state: Conditions, seen: Floats, visible: Mask) -
 
 
 def _roughness(residual: Floats, visible: Mask, rest: Floats) -> float | None:
-    """RMS of what a smooth field leaves of the residual in the frames that are seen whole."""
+    """RMS of the residual about a smooth field, in the frames that are seen completely."""
     frames = visible.all(axis=1)
     z = 2.0 * (rest[:, 2] - rest[:, 2].min()) / max(float(np.ptp(rest[:, 2])), 1e-9) - 1.0
     across = np.column_stack([np.ones(len(rest)), rest[:, 0] / 10.0, rest[:, 1] / 10.0])

@@ -134,8 +134,8 @@ def _scores(
         if white is None:
             score, covariance = part @ modes.T, np.eye(len(modes))[None]
         else:
-            whole = coordinates(part, filled(seen[frames]), positions, modes, white)
-            score, covariance = whole.commanded, whole.white[:, -len(modes) :, -len(modes) :]
+            combined = coordinates(part, filled(seen[frames]), positions, modes, white)
+            score, covariance = combined.commanded, combined.white[:, -len(modes) :, -len(modes) :]
         parts.append(score)
         noise.append(np.diagonal(covariance, axis1=1, axis2=2))
         rows.append(frames)

@@ -255,7 +255,7 @@ class Kernel:
 
 
 def scaled_commands(command: Floats, unit: Floats) -> Floats:
-    """Return commands (K, C) in multiples of `unit` (C,); a channel that is never moved tells nothing and is 0."""
+    """Return commands (K, C) in multiples of `unit` (C,); a channel that never moves gives no scale and is 0."""
     return np.asarray(command / np.where(unit > 1e-9, unit, np.inf))
 
 
@@ -325,12 +325,12 @@ class Whitener:
         The kernel's basis is orthonormal: what lies along it is scaled, all else stays.
         """
         flat = modes.reshape(*modes.shape[:-2], -1)
-        whole = np.einsum("...n,...n->...", flat, flat)
+        energy = np.einsum("...n,...n->...", flat, flat)
         if not len(self.kernel.strength) or not np.any(self.form > 0):
-            return np.asarray(whole)
+            return np.asarray(energy)
         inside = self.kernel.basis.T @ modes
         forgiven = 1.0 - 1.0 / (1.0 + self.kernel.strength[:, None] * self.form[None, :])
-        return np.asarray(whole - np.einsum("...rm,...rm,rm->...", inside, inside, forgiven))
+        return np.asarray(energy - np.einsum("...rm,...rm,rm->...", inside, inside, forgiven))
 
 
 def whitener(noise: Noise, form: Floats, signatures: Floats, kernel: Kernel) -> Whitener:

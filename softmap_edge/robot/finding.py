@@ -1,6 +1,6 @@
 """One thing that the doctor looked at, as a line: its name, how it stands, what was found, what to do.
 
-Errors here say what was wrong and, behind "; ", what to do (`hints.parted`). Pinned by tests/robot/test_doctor.py.
+Errors here state what was wrong and, behind "; ", what to do (`hints.parted`). Pinned by tests/robot/test_doctor.py.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ class Line:
         return self.state == OK
 
     def __str__(self) -> str:
-        said = f"{self.state:<8} {self.name}: {self.found}"
-        return f"{said}\n{'':<9}→ {self.do}" if self.do else said
+        message = f"{self.state:<8} {self.name}: {self.found}"
+        return f"{message}\n{'':<9}→ {self.do}" if self.do else message
 
 
-def faulty(name: str, said: object, otherwise: str) -> Line:
-    """Return what an error or a complaint says as a line; `otherwise` is to be done where it names no remedy."""
-    found, do = parted(said)
+def faulty(name: str, message: object, otherwise: str) -> Line:
+    """Return an error or a complaint as a line; `otherwise` is the remedy where it names none."""
+    found, do = parted(message)
     return Line(name, FAULT, found or "no reason is given", do or otherwise)

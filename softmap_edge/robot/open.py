@@ -1,6 +1,6 @@
 """A bench with the finger on it, and its robot for a program of a user's own: what docs/do/own_program.md shows.
 
-Pinned by tests/robot/test_own_program.py, and by the tests of the verbs that drive.
+Pinned by tests/robot/test_own_program.py, and by the tests of the commands that drive.
 """
 
 from __future__ import annotations
@@ -53,9 +53,10 @@ def open_robot(
     """Return the robot of a bench, which is driven from entering to leaving it (`with`).
 
     Args:
-        rig: the file of the bench, as `softmap servo setup` writes it. model: of its finger, or the folder of a bundle;
-            it must be calibrated, and its effects are undone. axes: that count for `robot.kinematics`. record: a file
-            for all that the loop hears, decides and sends.
+        rig: the file of the bench, as `softmap servo setup` writes it.
+        model: of its finger, or the folder of a bundle; it must be calibrated, and its effects are compensated.
+        axes: that count for `robot.kinematics`.
+        record: a file for all that the loop hears, decides and sends.
 
     Raises:
         BundleError: no such bundle, or a damaged one.

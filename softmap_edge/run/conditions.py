@@ -189,16 +189,16 @@ def _steps(values: Floats, count: int) -> Floats:
 
 
 def _sizes(values: Floats, count: int) -> Floats:
-    """Bounds as those of `_steps`; one class where a servo's ticks are all that tells the values apart."""
+    """Bounds as those of `_steps`; one class where the values differ by a servo's ticks only."""
     largest = float(np.max(values, initial=0.0))
     alike = len(values) > 0 and float(np.ptp(values)) <= ALIKE * largest
     return np.array([float(f"{largest:.3g}")]) if alike else _steps(values, count)
 
 
-def _told(edges: Floats) -> list[str]:
-    """Bounds as texts of three digits, or of as many as it takes to tell them apart."""
+def _labels(edges: Floats) -> list[str]:
+    """Bounds as texts of three digits, or of as many as it takes to distinguish them."""
     kinds = len(np.unique(edges))
-    return next(told for digits in range(3, 18) if len(set(told := [f"{e:.{digits}g}" for e in edges])) == kinds)
+    return next(labels for digits in range(3, 18) if len(set(labels := [f"{e:.{digits}g}" for e in edges])) == kinds)
 
 
 def _ranges(values: Floats, edges: Floats, unit: str, among: Mask | None = None) -> list[Cell]:
@@ -207,9 +207,9 @@ def _ranges(values: Floats, edges: Floats, unit: str, among: Mask | None = None)
         return [Cell(f"{edges[0]:g} {unit}", float(edges[0]), float(edges[0]), among)]
     if len(edges) == 0 or edges[-1] <= edges[0]:
         return []
-    which, told = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, len(edges) - 2), _told(edges)
+    which, labels = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, len(edges) - 2), _labels(edges)
     return [
-        Cell(f"{told[k]} … {told[k + 1]} {unit}", float(edges[k]), float(edges[k + 1]), among & (which == k))
+        Cell(f"{labels[k]} … {labels[k + 1]} {unit}", float(edges[k]), float(edges[k + 1]), among & (which == k))
         for k in range(len(edges) - 1)
     ]
 

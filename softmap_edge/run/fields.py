@@ -1,4 +1,4 @@
-"""What each field of a run must be: type, axes, range, and the one sentence said when it is not.
+"""What each field of a run must be: type, axes, range, and the one sentence that reports a fault.
 
 A table and the loop over it; a new field is one line in `AXES`. Ranges are wide limits of what the unit
 allows, chosen so that the usual mistakes (metres for mm, kelvin for °C, m/s² for a unit vector, ticks for
@@ -110,7 +110,7 @@ def convert(name: str, value: object) -> NDArray[np.generic]:
 
 
 def frozen(array: NDArray[np.generic]) -> NDArray[np.generic]:
-    """Return an array that nobody can change by mistake."""
+    """Return an array that cannot be changed by mistake."""
     array.setflags(write=False)
     return array
 
@@ -170,7 +170,7 @@ def stored_outputs(run: Run) -> dict[str, NDArray[np.generic]]:
 
 
 def check(run: Run) -> None:
-    """Check a whole run: shapes, then values, then how the fields fit together."""
+    """Check a complete run: shapes, then values, then how the fields fit together."""
     sizes = _sizes(run)
     for name, (axes, _) in AXES.items():
         value = getattr(run, name)
@@ -355,7 +355,7 @@ def _same_units(markers: NDArray[np.float64], rest: NDArray[np.float64]) -> None
     if len(rest) < 2 or not len(markers):
         return
     frames = markers[:: max(1, len(markers) // 50)]
-    spread = np.sqrt(np.var(frames, axis=1).sum(axis=1))  # a frame that is not seen whole gives none
+    spread = np.sqrt(np.var(frames, axis=1).sum(axis=1))  # an incomplete frame gives none
     spread = spread[np.isfinite(spread)]
     at_rest = float(np.sqrt(np.var(rest, axis=0).sum()))
     if not len(spread) or at_rest <= 0:

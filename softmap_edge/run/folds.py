@@ -3,7 +3,7 @@
 Frames near each other are alike, so folds are blocks of time, with a gap on each side that trains nothing. But moves of
 one kind are often recorded one after the other, and a block of time then holds all of them: what was never seen cannot
 be learned (on a real nine-tendon robot a polynomial looked ten times worse than it is). So where a run labels its
-frames (`block`) and has labels enough, whole labels are dealt out to the folds in turn, in the order they appear in.
+frames (`block`) and has labels enough, complete labels are dealt out to the folds in turn, in order of appearance.
 In the same way every fifth block of a run is withheld from a search, to confirm what it claims.
 Units: s. Pinned by tests/diagnosis/test_fit.py, tests/diagnosis/test_certificates.py.
 """
@@ -36,8 +36,8 @@ def folds(
 ) -> Folds:
     """Cut frames at `t` (n,) s into folds; each is predicted from the frames over `gap_s` away from all of it.
 
-    Without `labels` (n,) a fold is a block of time. With them it is whole labels, dealt out in turn to at most `most`
-    folds.
+    Without `labels` (n,) a fold is a block of time. With them it is complete labels, dealt out in turn to at
+    most `most` folds.
 
     Raises:
         RunError: too few frames or labels.
@@ -101,7 +101,7 @@ def without_gap(t_seen: Floats, labels: NDArray[np.generic] | None = None) -> tu
 
 
 def labelled(labels: NDArray[np.generic] | None) -> bool:
-    """Whether frames have labels enough for a diagnosis to hold them out whole."""
+    """Whether frames have labels enough for a diagnosis to hold out complete labels."""
     if labels is None:
         return False
     count = len(np.unique(labels))
@@ -110,7 +110,7 @@ def labelled(labels: NDArray[np.generic] | None) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class Withheld:
-    """Frames that a search may see, and frames of whole blocks that take no part in it; the others lie within a gap."""
+    """Frames that a search uses, and frames of complete blocks that it does not; the others lie within a gap."""
 
     chosen: Index  # (n,) rising, the first frame of each run among them
     rows: Index  # (w,) rising, none within a gap of those chosen

@@ -224,14 +224,14 @@ def _extra(placed: Sequence[_Placed]) -> dict[str, NDArray[np.generic]]:
     for name in sorted({name for one in placed for name in one.run.extra} - set(PIECES)):
         arrays = [one.run.extra.get(name) for one in placed]
         known = [array for array in arrays if array is not None]
-        whole = len(known) == len(placed)
-        if whole and all(array.shape == known[0].shape and np.array_equal(array, known[0]) for array in known):
+        in_all = len(known) == len(placed)
+        if in_all and all(array.shape == known[0].shape and np.array_equal(array, known[0]) for array in known):
             found[name] = known[0]
         elif name in ("made_by", "made_from"):
             continue  # of each recording: its hash stands for it
-        elif whole and name != BASE_MARKERS and all(a.ndim and len(a) == len(o.run.t) for a, o in zip(known, placed)):
+        elif in_all and name != BASE_MARKERS and all(a.ndim and len(a) == len(o.run.t) for a, o in zip(known, placed)):
             found[name] = _stacked(name, [array[one.skip :] for array, one in zip(known, placed)])
-        elif whole and all(a.ndim and len(a) == o.run.frames for a, o in zip(known, placed)):
+        elif in_all and all(a.ndim and len(a) == o.run.frames for a, o in zip(known, placed)):
             found[name] = _stacked(name, known)
         else:
             raise RunError(f"{name}: differs between the runs; leave it out (--drop {name}), or give runs of one robot")

@@ -1,4 +1,4 @@
-"""Markers in a plane: the coordinate across it is not measured, so nothing across it is predicted or judged.
+"""Markers in a plane: the coordinate across it is not measured, so nothing across it is predicted or validated.
 
 A run may declare it: its field `plane` keeps the axis of the base frame that is not measured ("x", "y" or "z"), and 0
 is that coordinate. A model's prediction for such a run has 0 there as well. So the error, and whatever an effect does

@@ -1,8 +1,9 @@
-"""The command records that show what a finger lacks: a standard protocol, and a run of another kind to judge by.
+"""The command records that show what a finger lacks: a standard protocol, and a validation run of another kind.
 
 A protocol is a list of blocks: home revisits, triangles of growing size, small loops at two offsets,
-diagonals, staircases with long dwells, fast triangles; each in two mounting orientations, because one cannot tell the
-weight of the body from a weight at the tip. The other run holds circles, spirals and smooth random moves.
+diagonals, staircases with long dwells, fast triangles. Each comes in two mounting orientations, because one alone
+cannot distinguish the weight of the body from a weight at the tip. The other run holds circles, spirals and smooth
+random moves.
 A `Tape` takes the moves, within the `Limits` of a robot; single blocks to choose from are in `experiment/blocks.py`.
 Units: s, mm of tendon shortening (or the robot's own unit), gravity in g in the base frame, load in g. Limit: straight
 moves at constant speed, without the ramps of a real servo; `tests/synthetic/test_truth.py` pins the frame counts,
@@ -44,7 +45,7 @@ class Protocol:
 
     `t` (T,) s, `command` (T, C) mm, `gravity` (T, 3) g in the base frame, `t_seen` (K,) s, `block` (K,) labels.
     `load` (T,) g that is hung at the tip, and `temperature` (T,) °C that is to be reached, where they are part of it.
-    `notes` say at which time (s) something is to be done by hand; `unit` is that of the commands.
+    `notes` give the times (s) of steps done by hand; `unit` is that of the commands.
     """
 
     name: str
@@ -155,7 +156,7 @@ def standard_protocol(
 
 
 def other_protocol(channels: int = 2, seed: int = 0, reach: float = REACH, limits: Limits | None = None) -> Protocol:
-    """Make a run of another kind (circles, spirals, smooth random moves), to judge by what was never fitted.
+    """Make a validation run of another kind: circles, spirals, smooth random moves.
 
     Args and errors as `standard_protocol`; returns about 240 frames in 2 minutes, the same two orientations.
     """

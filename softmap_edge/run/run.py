@@ -1,7 +1,7 @@
 """The run: what was commanded and what was seen, every field checked (units mm, s, ticks, mA, °C, g).
 
-`Run.load` and `Run.save` read and write the plain `.npz` form. A Run is valid by construction: whoever holds
-one need not check again. T command rows, C channels, K frames seen, N vertices or M markers; C = 0 and K = 0
+`Run.load` and `Run.save` read and write the plain `.npz` form. A Run is valid by construction: code that
+receives one need not check again. T command rows, C channels, K frames seen, N vertices or M markers; C = 0 and K = 0
 are valid. The unit of `command` and `present` is mm of tendon unless `command_unit` names another (a robot
 without a spool radius).
 Known limit: a file in metres is recognised by its extent (< 1 mm in all), so a robot smaller than that is
@@ -44,7 +44,7 @@ NO_COMMANDS = (  # what a run of markers alone cannot be used for
 HOME_TICKS = "home_ticks"  # the field with the ticks at home (C,) of a run whose commands count ticks from there
 CALIBRATION = "calibration"  # the field with the map (JSON) by which a control loop turned commands into `ticks`
 DAMAGE = "damage"  # the field with a sentence on what the recording lacks of which the run was made
-# Fields of `extra` that our own verbs write.
+# Fields of `extra` that our own commands write.
 OURS = {BASE_MARKERS, SPOOL_RADIUS, ROLL_SEEN, NOT_SEEN, PLANE, HOME_TICKS, "made_by", "made_from", "marker_labels"}
 OURS |= {CALIBRATION, DAMAGE, *PIECES}
 
@@ -293,7 +293,7 @@ class Run:
         """Return (T, C) what drives the model, in `command_unit`.
 
         Args:
-            source: "goal" (what was commanded), "present" (what the encoders said); None takes the present
+            source: "goal" (what was commanded), "present" (what the encoders measured); None takes the present
                 position where the run has it, else the goal.
 
         Raises:
@@ -323,7 +323,7 @@ class Run:
 
     # --- parts ---------------------------------------------------------------------------
     def at(self, select: ArrayLike) -> Run:
-        """Return the run with some of its frames; the commands stay whole, so that memory is still right.
+        """Return the run with some of its frames; the commands stay complete, so that memory is still right.
 
         Args:
             select: (K,) bool, or indices of frames in increasing order.
@@ -417,6 +417,6 @@ class Run:
 
 
 def known(run: Run, points: Array) -> NDArray[np.bool_]:
-    """Return which points (K, N, 3) of a run were seen, (K, N): finite, and not said to be hidden."""
+    """Return which points (K, N, 3) of a run were seen, (K, N): finite, and not reported as hidden."""
     finite = np.asarray(np.isfinite(points).all(axis=2), np.bool_)
     return finite if run.visible is None else np.logical_and(finite, run.visible)

@@ -108,7 +108,15 @@ def test_the_document_holds_every_step(adapted):
 def test_the_verb_writes_a_bundle_and_a_page_and_blocks_judge_without_another_run(adapted, tmp_path, capsys):
     for name, run in zip(("grid", "moves"), adapted.runs):  # registered already
         run.save(tmp_path / f"{name}.npz")
-    call = ["adapt", str(tmp_path / "grid.npz"), str(tmp_path / "moves.npz"), "--out", str(tmp_path / "out"), "--json"]
+    call = [
+        "model",
+        "adapt",
+        str(tmp_path / "grid.npz"),
+        str(tmp_path / "moves.npz"),
+        "--out",
+        str(tmp_path / "out"),
+        "--json",
+    ]
     assert main([*call, "--html", str(tmp_path / "page.html")]) == 0
     document = json.loads(capsys.readouterr().out)
     ways = {row["way"]: row["value"] for row in document["error"]["ways"]}

@@ -262,7 +262,7 @@ def test_the_page_as_written(tmp_path, capsys, monkeypatch):
     wanted = [line for language, text in blocks(PAGE) if language == "text" for line in text.splitlines()]
     assert len(wanted) == 4 and [line for line in wanted if line not in printed] == []
     assert load_bundle(tmp_path / "adapted").residual is not None
-    nothing_left = ["adapt", "hanging.npz", "--residual-only", "--bundle", "found", "--out", "again"]
+    nothing_left = ["model", "adapt", "hanging.npz", "--residual-only", "--bundle", "found", "--out", "again"]
     monkeypatch.chdir(tmp_path)
     assert main(nothing_left) == 1
 

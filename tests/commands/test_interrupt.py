@@ -34,9 +34,9 @@ def stop(process, after):
     return said
 
 
-@pytest.mark.parametrize("verb", ["build", "sweep"])
+@pytest.mark.parametrize("verb", ["build", "model sweep"])
 def test_ctrl_c_stops_the_first_column_at_once(verb, tmp_path):
-    with interruptible(verb, "--steps", "201", "--out", str(tmp_path / "out.npz")) as process:
+    with interruptible(*verb.split(), "--steps", "201", "--out", str(tmp_path / "out.npz")) as process:
         assert stop(process, STARTED) == f"softmap {verb}: interrupted\n"
     assert not list(tmp_path.iterdir())
 

@@ -60,10 +60,10 @@ def test_more_than_there_are_vertices_is_refused_before_the_sweep():
     assert not told
 
 
-@pytest.mark.parametrize("verb", ["build", "sweep"])
+@pytest.mark.parametrize("verb", ["build", "model sweep"])
 def test_the_verbs_refuse_them_in_one_line(verb, tmp_path, capsys):
     (tmp_path / "finger.toml").write_text(FINGER.replace(core=1, layers=4, handles=900).to_toml(), encoding="utf-8")
-    assert main([verb, str(tmp_path / "finger.toml"), "--steps", "5", "--out", str(tmp_path / "out.npz")]) == 2
+    assert main([*verb.split(), str(tmp_path / "finger.toml"), "--steps", "5", "--out", str(tmp_path / "out.npz")]) == 2
     said = capsys.readouterr().err
     assert "template.handles: 900" in said and said.count("\n") == 1 and not (tmp_path / "out.npz").exists()
 

@@ -36,12 +36,12 @@ VERBS = [
     ["show", "bundle"],
     ["show", "bundle", "--json"],
     ["check", "run.npz", "--bundle", "bundle"],
-    ["predict", "1,1", "--bundle", "bundle"],
+    ["model", "predict", "1,1", "--bundle", "bundle"],
     ["compare", "run.npz", "--bundle", "bundle"],
     ["diagnose", "run.npz", "--bundle", "bundle"],
-    ["refit", "run.npz", "--bundle", "bundle", "--out", "out"],
-    ["remove", "mine", "--bundle", "bundle", "--out", "out"],
-    ["align", "run.npz", "--bundle", "bundle", "--out", "out.npz"],
+    ["model", "refit", "run.npz", "--bundle", "bundle", "--out", "out"],
+    ["model", "remove", "mine", "--bundle", "bundle", "--out", "out"],
+    ["run", "align", "run.npz", "--bundle", "bundle", "--out", "out.npz"],
     ["next", "--standard", "--bundle", "bundle", "--out", "out.csv"],
 ]
 

@@ -163,7 +163,7 @@ def test_without_matplotlib_the_page_has_all_but_pictures_and_says_how_to_get_th
     [
         ["track", "S", "--plan", "--picture", "{}"],
         ["track", "--workspace", "--picture", "{}"],
-        ["calibrate", "run.npz", "--out", "b", "--plot", "{}"],
+        ["model", "calibrate", "run.npz", "--out", "b", "--plot", "{}"],
     ],
 )
 def test_without_matplotlib_a_picture_is_refused_before_anything_is_done(argv, tmp_path, monkeypatch, capsys):

@@ -36,7 +36,7 @@ def test_a_program_that_takes_no_lock_is_named_by_all_that_open_the_port(tmp_pat
                 ["servo", "setup", *where, "--id", "1"],
                 ["servo", "reboot", *where, "--id", "1"],
                 ["servo", "home", "--rig", file, "--yes"],
-                ["move", "--rig", file, "--servo", "1", "--by", "50", "--hold"],
+                ["servo", "move", "--rig", file, "--servo", "1", "--by", "50", "--hold"],
             ):
                 assert main(argv) == 2, argv
                 assert said in capsys.readouterr().err

@@ -79,7 +79,7 @@ def test_a_reversed_drive_mode_is_seen_by_all_that_drive(tmp_path, capsys):
                 start()
         for argv in (
             ["servo", "home", "--rig", file, "--yes"],
-            ["move", "--rig", file, "--servo", "1", "--by", "50", "--hold"],
+            ["servo", "move", "--rig", file, "--servo", "1", "--by", "50", "--hold"],
         ):
             assert main(argv) == 2
             assert said in capsys.readouterr().err

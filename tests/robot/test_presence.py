@@ -110,7 +110,7 @@ def test_a_servo_that_answers_pings_only_is_named_and_set_up(tmp_path, capsys):
             Controller(rig, calibration(), limits).__enter__()
         for argv in (
             ["servo", "home", "--rig", file, "--yes"],
-            ["move", "--rig", file, "--servo", "1", "--by", "50", "--hold"],
+            ["servo", "move", "--rig", file, "--servo", "1", "--by", "50", "--hold"],
         ):
             assert main(argv) == 2
             assert said in capsys.readouterr().err

@@ -87,9 +87,9 @@ def test_verbs_take_it_as_any_run(tracked, tmp_path, capsys):
         ["show", file],
         ["check", file],
         ["check", file, "--bundle", out],
-        ["predict", file, "--out", f"{out}.p.npz"],
+        ["model", "predict", file, "--out", f"{out}.p.npz"],
         ["next", f"{out}.json", "--run", file, "--out", f"{out}.csv"],
-        ["replay", file, "--run", f"{out}.npz"],
+        ["servo", "replay", file, "--run", f"{out}.npz"],
     ):
         if "--bundle" in words:
             assert main(["model", "calibrate", file, "--out", out]) in (0, 1)

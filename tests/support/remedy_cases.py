@@ -187,7 +187,7 @@ CASES = [
     ),
     Remedy(
         "a frame that was never found", lambda: (_finger(shift=(9.0, 0.0, 0.0)).save("a.npz"), _finger().save("b.npz")),
-        ["align", "a.npz", "--like", "b.npz", "--out", "c.npz"], "softmap run align",
+        ["run", "align", "a.npz", "--like", "b.npz", "--out", "c.npz"], "softmap run align",
         [["run", "align", "b.npz", "--out", "aligned.npz"]],
         ["run", "align", "a.npz", "--like", "aligned.npz", "--out", "c.npz"],
     ),
@@ -230,7 +230,7 @@ CASES = [
     Remedy(
         "a file that no loop recorded", lambda: Path("x.mcap").write_bytes(b""), ["servo", "replay", "none.mcap"],
         "softmap track --record FILE.mcap", [["track", "O", "--sim", "--duration", "3", "--record", "s.mcap"]],
-        ["replay", "s.mcap"],
+        ["servo", "replay", "s.mcap"],
     ),
     Remedy(
         "logs that overlap", lambda: _two_logs(1.0),

@@ -1,6 +1,6 @@
 """Homing: the finger straight and still without torque, the turn nearest to each stored home, a mark of the proof.
 
-Turns are lost without power (modes 4 and 5), so that it is done anew after each power-up; `proof.py` keeps who has not.
+Turns are lost without power (modes 4 and 5), so it is done again after each power-up; `proof.py` keeps who has not.
 Pinned by tests/robot/test_home.py.
 """
 

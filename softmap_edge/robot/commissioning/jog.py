@@ -5,7 +5,7 @@
 
 Whatever is sent passes the guard: `travel` ticks from where a jog began, `slew`, `current`; it brakes when nobody
 holds, and torque goes off after the limit `hold`. What the bench allows (`[ceiling]` and each `[[servo]]`) binds a jog
-as it binds a drive, its ticks where home is proved. Pinned by tests/robot/test_move.py.
+as it binds a drive, its ticks where it is homed. Pinned by tests/robot/test_move.py.
 """
 
 from __future__ import annotations
@@ -257,7 +257,7 @@ def _limits(rig: Rig, asked: dict[str, float | None]) -> LoopLimits:
 
 
 def _servos(rig: Rig) -> list[ServoLimits]:
-    """Return the limits of each servo: its ticks about a home that is proved, else no window."""
+    """Return the limits of each servo: its ticks about home if homed, else no window."""
     found = []
     with opened(rig.port, rig.baud) as bus:
         for servo in rig.servos:

@@ -1,6 +1,6 @@
 """A held key of a terminal as the deadman of moves of commissioning: holding begins with the first repetition.
 
-A key that was pressed once may have been let go at once, and nobody can know for 0.7 s (`terminal_keys.RepeatedKey`):
+A key that was pressed once may have been let go at once, and this is unknown for 0.7 s (`terminal_keys.RepeatedKey`):
 nothing runs on so long after a tap. Pinned by tests/robot/test_move.py and tests/robot/test_emergency_key.py.
 """
 
@@ -50,7 +50,7 @@ class Keys:
     def key(self) -> str:
         """Return the key that is down, by the name that `named` gives, empty if none: pressed lately, or repeating.
 
-        `.presses` counts how often one was pressed anew.
+        `.presses` counts how often one was pressed again.
         """
         now = time.monotonic()
         for key in self._typed.read():

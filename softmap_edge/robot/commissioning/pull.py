@@ -33,7 +33,7 @@ Floats = NDArray[np.float64]
 
 MARGIN = 1.25  # times the current at the stroke that the ceiling allows
 FARTHEST_LEG = _core.limit_ranges()["jog_travel"][1]  # ticks from home, of a move
-BEYOND = 1.25  # times what was reached: a stroke up to there is told by a straight line
+BEYOND = 1.25  # times what was reached: a stroke up to there follows a straight line
 SHORT = 0.05  # of a leg by which a servo may stay behind its goal, but never less than LEAST_SHORT
 LEAST_SHORT = 25.0  # ticks
 LEAST_READ = 5  # readings of the current at an end
@@ -109,7 +109,7 @@ def pull(
             user on the servos and the bus.
 
     Raises:
-        ServoError: a servo reports no current, home is not proved, the finger does not come to its stroke, its current
+        ServoError: a servo reports no current or is not homed, the finger does not come to its stroke, its current
             does not rise, or somebody stopped it; nothing follows then.
     """
     rig, numbers = found.rig, [k for k, one in enumerate(found.rig.servos) if not ids or one.id in ids]
@@ -170,7 +170,7 @@ def _check_reach(servo: RigServo, ends: tuple[float, float], allowed: float) -> 
 
 
 def _leg(jog: Jog, k: int, stroke: float, most: float, hand: Deadman) -> Leg:
-    """Go to one end, stand there, and tell the current."""
+    """Go to one end, stand there, and return the current."""
     servo, near = jog.rig.servos[k], 1.0 - LEAST_SHORT / most
     target = float(np.sign(stroke)) * min(abs(stroke), near * most)
     read: list[tuple[float, float]] = []
@@ -199,7 +199,7 @@ def _most_current(jog: Jog, k: int) -> float:
 
 
 def _stand(jog: Jog, k: int, hand: Deadman) -> list[tuple[float, float]]:
-    """Stand until a servo is still, PATIENCE more at most, and return what it said over the last STANDS."""
+    """Stand until a servo is still, PATIENCE more at most, and return its readings over the last STANDS."""
     servo = jog.rig.servos[k]
     stood: list[tuple[float, float]] = []
     times: list[float] = []

@@ -1,4 +1,4 @@
-"""Restart a servo that has shut itself down: torque off first, its errors before and after, home to be proved again.
+"""Restart a servo that has shut itself down: torque off first, its errors before and after, then home it again.
 
 A restart clears hardware errors, but also the counted turns of a servo, its mark of home and all volatile registers.
 Pinned by tests/robot/test_reboot.py.

@@ -9,7 +9,7 @@
 Python sends commands, never ticks; the loop guards them (docs/reference/safety.md) and never waits for Python. A
 program that stops calling `target` is held, then slackened; one that ends or is killed likewise. Should the loop's
 own process die or freeze, the servos stop by their watchdogs and a thread of this side switches their torque off,
-whatever the program does meanwhile. A servo that has not said that it has no torque at the end is an error.
+whatever the program does meanwhile. A servo that has not confirmed that its torque is off at the end is an error.
 Pinned by tests/robot/test_controller.py and tests/robot/test_leaving.py.
 """
 
@@ -46,8 +46,8 @@ from softmap_edge.robot.servo.status_words import kept_words
 Floats = NDArray[np.float64]
 
 REQUESTS = ("connect", "home", "arm", "engage", "hold", "stop", "acknowledge", "disconnect", "commission")
-STARTS = 10.0  # s until the loop's process has said something
-SAID = 2.0  # s within which every servo has said whether it has torque
+STARTS = 10.0  # s until the loop's process has reported something
+SAID = 2.0  # s within which every servo has reported whether it has torque
 PASSING = ("torque", "trouble(late)")  # what denies a request, and may be over soon
 ACTIVE = ("engaged", "hold", "safe_stop", "commissioning")
 
@@ -55,7 +55,7 @@ ACTIVE = ("engaged", "hold", "safe_stop", "commissioning")
 class Controller(Supervisor):
     """The servos of `rig` driven within `limits` (`loop_limits`), commands mapped to ticks by `calibration`.
 
-    With `kinematics` (`motion.kinematics`) commands are what should act: the loop undoes the effects of its model,
+    With `kinematics` (`motion.kinematics`) commands are what should act: the loop compensates the effects of its model,
     delays aside, from what was really sent. Entering starts the loop, proves that the servos are what the rig says
     and that home was proved since they got power (`proof.py`), and goes to READY. With `commissioning` it goes to
     CONNECTED, home is not asked for, and small slow moves are all that is allowed (`jog.py`). Leaving slackens and
@@ -153,7 +153,7 @@ class Controller(Supervisor):
     def request(self, name: str, seconds: float = 3.0) -> None:
         """Ask for `connect`, `arm`, `engage`, `hold`, `stop`, `acknowledge`, `disconnect` or `commission`.
 
-        `home` is none of them: a start alone looks whether it is proved since the servos got power.
+        `home` is none of them: only a start checks that the robot was homed since the servos got power.
 
         Raises:
             ServoError: no such request, it was denied, or the loop did not answer.
@@ -206,7 +206,7 @@ class Controller(Supervisor):
         """Send the command `u` (C,) mm; returns the one that will be done: nearest within the window of the servos.
 
         One that is not finite is refused by the guard: then what was asked before will be done. It counts as a pressed
-        deadman: whoever stops calling it lets go.
+        deadman: a program that stops calling it lets go.
 
         Raises:
             ServoError: `u` is no C numbers, or the guard is in no state that follows commands; the message says which
@@ -218,7 +218,7 @@ class Controller(Supervisor):
         return self._target(u)
 
     def release(self) -> None:
-        """Let go of the deadman: the guard holds, then slackens."""
+        """Let go of the deadman: the guard holds, then releases tension."""
         self._drove_at = None
         self._send(deadman=False)
 
@@ -242,11 +242,11 @@ class Controller(Supervisor):
             raise ServoError(str(self._last["rescued"]))
 
     def close(self) -> None:
-        """Slacken, switch torque off, end the loop; whatever fails, torque off is sent.
+        """Release tension, switch torque off, end the loop; whatever fails, torque off is sent.
 
         Raises:
-            ServoError: a servo has not said that it has no torque, or a fault kept the finger from going home. One that
-                came before is told by whatever was called then.
+            ServoError: a servo has not confirmed that its torque is off, or a fault kept the finger from going home.
+                An earlier fault was raised by the earlier call.
             RecordingBroken: the recording ended before the loop did.
         """
         if said := "; ".join(filter(None, self._close())):
@@ -254,7 +254,7 @@ class Controller(Supervisor):
         self.check_recorded()
 
     def _close(self) -> tuple[str, str]:
-        """Return what kept the finger from going home, and what is to be said of servos that may have torque."""
+        """Return what kept the finger from going home, and the message on servos that may have torque."""
         process = self._process
         if process is None:
             return "", ""

@@ -1,11 +1,11 @@
-"""The emergency stop on a terminal's key, beside whatever a program does with a robot.
+"""The emergency stop on a terminal's key, alongside a program that drives a robot.
 
     robot = Controller(...)
     with EmergencyKey(robot, print), robot:     # the key works until torque is off
         ...
 
 A thread looks for the key, so that it works while the program computes or waits. Where standard input is no terminal
-of ours there is no key, and nothing is said. Pinned by tests/robot/test_emergency_key.py.
+of ours there is no key, and nothing is printed. Pinned by tests/robot/test_emergency_key.py.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ PRESSED = (
 
 class EmergencyKey:
     """The key `EMERGENCY` of this terminal presses the emergency stop of `robot`, from entering to leaving; `say` is
-    told which it is.
+    called with the name of the key.
 
     Raises:
         ServoError: on leaving, if it was pressed; whatever else failed because of that stands behind it.
@@ -63,7 +63,7 @@ class EmergencyKey:
 
     @contextlib.contextmanager
     def aside(self) -> Iterator[None]:
-        """Leave the terminal to whoever reads a line from it: to be used while torque is off."""
+        """Leave the terminal to code that reads a line from it; use it while torque is off."""
         with self._reading, contextlib.nullcontext() if self._typed is None else self._typed.aside():
             yield
 

@@ -1,6 +1,6 @@
 """Follow a recording while a loop writes it: the periods that are new since one asked last.
 
-The compiled core reads it (`rust/control/recording.rs`); what is not yet whole is read when it is. A recording is
+The compiled core reads it (`rust/control/recording.rs`); a period is read once it is complete. A recording is
 somebody else's file: what is damaged ends it with a reason. Pinned by tests/robot/test_live.py.
 """
 

@@ -1,11 +1,11 @@
-"""The emergency stop on another computer: a heart that beats over UDP while nobody presses it.
+"""The emergency stop on another computer: heartbeats over UDP while it is not pressed.
 
     with Heart("robot.local", 5006, read_key("stop.key")) as heart:
         while True:
             heart.beat(pressed=button())
             time.sleep(0.02)
 
-Whoever stops beating has pressed it: the control loop switches torque off (docs/reference/safety.md). Datagrams and
+Missing heartbeats press it: the control loop switches torque off (docs/reference/safety.md). Datagrams and
 sessions are those of `rust/control/heartbeat.rs`, which listens. Pinned by tests/robot/test_emergency.py.
 """
 
@@ -25,7 +25,7 @@ PRESSED = 1
 class Heart(Sender):
     """Beats for the robot at `host`:`port`, signed with `key`; a context manager. Closing it presses the stop.
 
-    `.heard` says whether the robot has answered: what beats for nobody holds nobody.
+    `.heard` is whether the robot has answered; until then the heartbeats have no effect.
 
     Raises:
         LinkError: no such host or port, or the key is too short.

@@ -144,7 +144,7 @@ class Recording:
             raise RunError(f"{self.file}: damaged ({fault}); record again") from None
 
     def _told(self) -> list[tuple[Any, ...]]:
-        """Return what the guard was told in each period, as `_core.replay` takes it.
+        """Return the inputs of the guard in each period, as `_core.replay` takes it.
 
         Raises:
             RunError: a period is not of this form.
@@ -189,7 +189,7 @@ def _told(period: Document) -> tuple[Any, ...]:
 
 
 def read_recording(path: str | Path) -> Recording:
-    """Read a recording; of one that was cut short, all periods that are whole.
+    """Read a recording; of one that was cut short, all complete periods.
 
     Raises:
         RunError: no recording of a loop, or damaged.

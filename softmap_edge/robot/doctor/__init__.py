@@ -34,8 +34,8 @@ class Examined:
 
     def __str__(self) -> str:
         count = {state: sum(line.state == state for line in self.lines) for state in (OK, WARNING, FAULT)}
-        told = ", ".join(f"{n} {state}{'s' if n != 1 and state != OK else ''}" for state, n in count.items())
-        return "\n".join([*map(str, self.lines), told])
+        summary = ", ".join(f"{n} {state}{'s' if n != 1 and state != OK else ''}" for state, n in count.items())
+        return "\n".join([*map(str, self.lines), summary])
 
     def to_dict(self) -> Document:
         """Return the document softmap.doctor/1."""
@@ -77,5 +77,5 @@ def _safely(look: Callable[[], Iterable[Line]]) -> list[Line]:
         return list(look())
     except Exception as fault:
         name = getattr(look, "__name__", "look").replace("_", " ").replace("<lambda>", "look")
-        said = f"could not be looked at ({type(fault).__name__}: {str(fault)[:120]})"
-        return [Line(name, FAULT, said, "this is a fault of softmap: please report it")]
+        message = f"could not be looked at ({type(fault).__name__}: {str(fault)[:120]})"
+        return [Line(name, FAULT, message, "this is a fault of softmap: please report it")]

@@ -1,4 +1,4 @@
-"""What the doctor looks at of one bench: its bundle, its rig.toml, and what its servos say when they are asked.
+"""What the doctor looks at of one bench: its bundle, its rig.toml, and what its servos report when asked.
 
 Servos are asked only: nothing is written to them. Pinned by tests/robot/test_doctor.py.
 """
@@ -73,12 +73,12 @@ def limits(file: str | Path, folder: str | Path) -> Iterator[Line]:
     except SoftmapError as fault:
         yield faulty("limits", fault, "`softmap servo limits` lists who sets them")
         return
-    said = "derived from the model" if found.derived else "with those of the bundle"
-    yield Line("limits", OK, f"{said}; `softmap servo limits` prints them")
+    found_text = "derived from the model" if found.derived else "with those of the bundle"
+    yield Line("limits", OK, f"{found_text}; `softmap servo limits` prints them")
 
 
 def rig(file: str | Path, folder: str | Path | None = None) -> Iterator[Line]:
-    """A bench: whether its file is sound, its servos answer and are set up, and home is proved.
+    """A bench: whether its file is sound, its servos answer and are set up, and it is homed.
 
     Args:
         file: its `rig.toml`. folder: the bundle of the finger on it, whose limits the servos must carry.
@@ -124,8 +124,10 @@ def _stops(bench: Rig) -> Iterator[Line]:
                 raise OSError(errno.ENODEV, "no GPIO chip")
             os.close(os.open(stops.gpio.chip, os.O_RDWR | os.O_NONBLOCK))
         except OSError as fault:
-            said = f"{stops.gpio.chip}: {(fault.strerror or 'no chip').lower()}"
-            wrong.append(Line("emergency stop", FAULT, said, "gpiodetect lists the chips; mend [emergency] of the rig"))
+            found_text = f"{stops.gpio.chip}: {(fault.strerror or 'no chip').lower()}"
+            wrong.append(
+                Line("emergency stop", FAULT, found_text, "gpiodetect lists the chips; mend [emergency] of the rig")
+            )
     yield from wrong
     if not wrong and stops != Emergency():
         yield Line("emergency stop", OK, f"stops at {stops}")
@@ -151,15 +153,15 @@ def _servos(bench: Rig, asked: list[Member]) -> Iterator[Line]:
         if found is None or found.number != dict(bench.numbers)[servo.id] or not one.values:
             continue
         for need in one.passing:
-            said = differs(found, need, one.values[need.register])
-            yield Line(name, WARNING, said, "each start writes it again")
+            found_text = differs(found, need, one.values[need.register])
+            yield Line(name, WARNING, found_text, "each start writes it again")
         if not (one.wrong or one.unfit or one.passing):
             yield Line(name, OK, f"{servo.model}, firmware {found.firmware}, set up")
         yield _home(bench, servo, one.values["present_position"])
 
 
 def _home(bench: Rig, servo: RigServo, position: int) -> Line:
-    """Whether the home of a servo is proved, and how far (ticks) it stands from it."""
+    """Whether a servo is homed, and how far (ticks) it is from home."""
     name = f"home of servo {servo.id}"
     try:
         with opened(bench.port, bench.baud) as bus:

@@ -61,7 +61,7 @@ def _version(name: str) -> str | None:
 def processor(machine: str | None = None, proc: Path = PROC) -> Iterator[Line]:
     """Whether the network pass finds its instructions here; what mediapipe needs is asked by `teleoperation`."""
     machine = platform.machine() if machine is None else machine
-    key, wanted = SIMD.get(machine, ("", ()))
+    key, required = SIMD.get(machine, ("", ()))
     if not key:
         yield Line("processor", WARNING, machine, "supported are x86_64 and aarch64; others run what needs no wheel")
         return
@@ -71,13 +71,13 @@ def processor(machine: str | None = None, proc: Path = PROC) -> Iterator[Line]:
         yield Line("processor", WARNING, f"{machine}, {fault.filename} cannot be read", "its features are not known")
         return
     features = [line.split(":", 1)[-1].split() for line in text.splitlines() if line.startswith(key)]
-    lacking = [name for name in wanted if not all(name in one for one in features)] if features else []
+    lacking = [name for name in required if not all(name in one for one in features)] if features else []
     do = "the network pass takes its plain path, several times slower; a table or rod as prior is not concerned"
-    said = f"{machine}, {os.cpu_count()} cores"
+    message = f"{machine}, {os.cpu_count()} cores"
     if lacking:
-        yield Line("processor", WARNING, f"{said}, without {', '.join(lacking)}", do)
+        yield Line("processor", WARNING, f"{message}, without {', '.join(lacking)}", do)
     else:
-        yield Line("processor", OK, f"{said}, with {', '.join(wanted)}")
+        yield Line("processor", OK, f"{message}, with {', '.join(required)}")
 
 
 def real_time(proc: Path = PROC) -> Iterator[Line]:

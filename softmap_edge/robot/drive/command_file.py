@@ -5,7 +5,7 @@
     0.0000,0.0000,0.0000,0.00000,0.00000,1.00000,0,,1,home,
 
 `t` s; `u0` … in the unit of the first line; gravity in g in the base frame; `load_g` g declared at the tip;
-`temperature_c` °C to be reached, where that is part of it (else empty); `look` 1 where a frame is wanted (a camera of
+`temperature_c` °C to be reached, where that is part of it (else empty); `look` 1 where a frame is required (a camera of
 its own rate may take more); `block` the part of the protocol; `note` what is to be done by hand from here on.
 Limit: frames are taken at rows, 0.02 s apart in what this tool writes. Pinned by tests/experiment/test_experiment.py
 and tests/model/test_mutated_files.py.
@@ -84,8 +84,8 @@ def read_commands(path: str | Path) -> tuple[Protocol, str]:
 def _protocol(path: str | Path, rows: list[list[str]], unit: str) -> Protocol:
     names = rows[0] if rows else []
     channels = len(names) - len(BEFORE) - len(AFTER)
-    wanted = [*BEFORE, *(f"u{c}" for c in range(max(channels, 0))), *AFTER]
-    if names != wanted or channels > CHANNELS:
+    required = [*BEFORE, *(f"u{c}" for c in range(max(channels, 0))), *AFTER]
+    if names != required or channels > CHANNELS:
         raise RunError(
             f"{path}: columns {_line(','.join(names))[:100]}; expected t, u0 to u63 at most, {', '.join(AFTER)}"
         )
@@ -124,7 +124,7 @@ def _protocol(path: str | Path, rows: list[list[str]], unit: str) -> Protocol:
         command=numbers[:, 1 : 1 + channels],
         gravity=gravity / length[:, None],
         t_seen=t[seen],
-        block=np.array([_line(row[width]) for row, wanted in zip(rows[1:], seen) if wanted], str),
+        block=np.array([_line(row[width]) for row, required in zip(rows[1:], seen) if required], str),
         load=load if np.any(load != 0) else None,
         temperature=None if np.isnan(warm).all() else warm,
         notes=tuple((float(time), _line(row[width + 1])) for time, row in zip(t, rows[1:]) if row[width + 1]),

@@ -32,7 +32,7 @@ from softmap_edge.files.atomic import Document
 from softmap_edge.model.model import Model
 from softmap_edge.robot.link.frames import Frame, HostClock, Seen
 
-SEEN = ".seen"  # ends the name of such a file, beside what the loop recorded
+SEEN = ".seen"  # ends the name of such a file, next to what the loop recorded
 SCHEMA, ENDLESS, UNCHECKED = "softmap.seen/3", "softmap.seen/2", "softmap.seen/1"
 SAFE = 0.5  # s after which what came is on the disk
 LONGEST = 1 << 24  # characters of a line
@@ -53,7 +53,7 @@ class Kept:
     """What was seen: the `camera`'s clock, the frames that were `taken`, each with the look of a command file that it
     answers (else their number), and that file's `clock`, pairs of (host s, s of the file), empty without one.
 
-    `robot` and `vertices`, how many points a frame of its whole body has, are in a file: None where they are not, or
+    `robot` and `vertices`, how many points a frame of its full body has, are in a file: None where they are not, or
     where the robot is seen by markers. `lacks` is a sentence on the part that cannot be read.
     """
 
@@ -66,12 +66,12 @@ class Kept:
 
 
 def vertices_of(model: Model) -> int | None:
-    """Return how many points a frame of the whole body has; None where a model is of markers."""
+    """Return how many points a frame of the full body has; None where a model is of markers."""
     return None if model.markers else len(model.rest)
 
 
 def seen_file(recording: str | Path) -> Path:
-    """Return the file beside a recording that holds what was seen meanwhile."""
+    """Return the file next to a recording that holds the frames seen meanwhile."""
     return Path(recording).with_suffix(SEEN)
 
 
@@ -146,7 +146,7 @@ class Keeper:
 
 @contextlib.contextmanager
 def keeping(recording: str | Path, seen: Seen, model: Model, late: float = 0.0) -> Iterator[Keeper]:
-    """Keep every frame that is seen meanwhile beside a recording: with that it is a run of the robot of `model`.
+    """Keep every frame seen during a recording in a file next to it; together they are a run of the robot of `model`.
 
     Args:
         seen: gives the frames that have arrived, oldest first. late: s that the quickest frame takes.
@@ -169,7 +169,7 @@ def keeping(recording: str | Path, seen: Seen, model: Model, late: float = 0.0) 
             while not end.wait(LOOK):
                 look()
             look()
-        except Exception as fault:  # whatever `seen` raises: the robot goes on, and it is told
+        except Exception as fault:  # whatever `seen` raises: the robot goes on, and it is reported
             keeper.fault = f"{type(fault).__name__}: {fault!s:.80}"
 
     with Keeper(seen_file(recording), late, model) as keeper:
@@ -185,7 +185,7 @@ def keeping(recording: str | Path, seen: Seen, model: Model, late: float = 0.0) 
 
 
 def read_kept(file: Path) -> Kept:
-    """Return what was kept: every line whose checksum is right, to the last whole one.
+    """Return what was kept: every line whose checksum is right, to the last complete one.
 
     Raises:
         RunError: it is no such file, or damaged where no checksum shows which part.
@@ -203,9 +203,9 @@ def read_kept(file: Path) -> Kept:
     except OSError as fault:
         raise RunError(f"{file}: {(fault.strerror or '').lower()}; give the `.seen` file of a recording") from None
     except (ValueError, KeyError, TypeError, IndexError, OverflowError, RecursionError) as fault:
-        said = "".join(c if c.isprintable() else "?" for c in f"{fault!s:.60}")
+        message = "".join(c if c.isprintable() else "?" for c in f"{fault!s:.60}")
         raise RunError(
-            f"{file}: damaged, or no `.seen` file of a recording ({said}); without it the recording is one of "
+            f"{file}: damaged, or no `.seen` file of a recording ({message}); without it the recording is one of "
             "which nothing was seen"
         ) from None
     return kept

@@ -31,7 +31,7 @@ PATIENCE = 3.0  # s
 SHARE = 0.9  # of the slew limit that a file is played at, at most
 ANSWER = 0.25  # s by which servos may be late (the trunk's: 0.24): at speed they are that far behind their goals
 BEHIND = 0.75  # of the following error that is allowed
-FEWEST = 3  # frames in each half of a span, to tell whether what is seen stands
+FEWEST = 3  # frames in each half of a span, to detect whether what is seen is still
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +40,7 @@ class Pace:
 
     Attributes:
         made: the file. t: (T,) s at which its rows are due, waiting left out. rests: (T,) bool, first rows of rests.
-        stops: row → what is to be done by hand there. looks: (K,) s at which a frame is wanted.
+        stops: row → what is to be done by hand there. looks: (K,) s at which a frame is required.
     """
 
     made: Protocol
@@ -84,7 +84,7 @@ def pace(made: Protocol, calibration: Calibration, servos: Sequence[ServoLimits]
     fastest = np.minimum(SHARE * slew, BEHIND * following / ANSWER)
     least = (np.abs(np.diff(ticks, axis=0)) / fastest).max(axis=1)
     step = np.diff(made.t)
-    # A step asks for its whole way at once; the path between is left to the guard.
+    # A step asks for its full way at once; the path between is left to the guard.
     t = np.concatenate([[0.0], np.cumsum(np.maximum(step, least))])
     return Pace(made, t, _rests(made), _stops(made), np.interp(made.t_seen, made.t, t))
 
@@ -101,7 +101,7 @@ def _rests(made: Protocol) -> NDArray[np.bool_]:
 
 
 def _stops(made: Protocol) -> dict[int, str]:
-    """Return rows with a note, and those where a condition changes that no note since the last look tells."""
+    """Return rows with a note, and those where a condition changes without a note since the last capture."""
     stops = {int(np.clip(np.searchsorted(made.t, t - 1e-9), 0, len(made.t) - 1)): text for t, text in made.notes}
     load = np.zeros(len(made.t)) if made.load is None else made.load
     changes = np.any(np.abs(np.diff(made.gravity, axis=0)) > 1e-6, axis=1) | (np.abs(np.diff(load)) > 1e-9)
@@ -123,8 +123,8 @@ def condition(made: Protocol, row: int) -> str:
 def servos_still(history: Sequence[tuple[float, Sequence[float]]], now: float) -> bool:
     """Return whether no servo moved over the last `SPAN` s of (s, ticks) that were heard."""
     last = [ticks for t, ticks in history if t >= now - SPAN]
-    whole = bool(history) and history[0][0] <= now - SPAN and len(last) >= FEWEST
-    return whole and bool(np.all(np.ptp(np.array(last), axis=0) <= TICKS))
+    enough = bool(history) and history[0][0] <= now - SPAN and len(last) >= FEWEST
+    return enough and bool(np.all(np.ptp(np.array(last), axis=0) <= TICKS))
 
 
 def view_still(frames: Sequence[Frame], since: float, now: float) -> bool:

@@ -29,10 +29,10 @@ from softmap_edge.run.run import Run
 Floats = NDArray[np.float64]
 
 SENT = 50.0  # commands a second
-NEAR = 0.1  # s: a frame this near to a look is the one that was wanted
+NEAR = 0.1  # s: a frame this near to a look is the one that was required
 WAIT = 0.5  # s after a look until the frames about it have arrived
 GONE, LOST = 0.5, 15.0  # s without a frame after which the file's clock stands, and after which it is over
-BACK = 15.0  # s within which a finger that was told to stop has torque off
+BACK = 15.0  # s within which a finger that was commanded to stop has torque off
 BEGIN = 8.0  # s until the robot is where the file begins
 
 
@@ -49,8 +49,10 @@ class Player:
     """Plays a pace on an entered `robot` that records, seen by `seen`.
 
     Args:
-        ask: called with what is to be done by hand; returns when it is done. tell: called with the share that is done.
-        late: s that the quickest frame takes. keep: called all the time with what is new (`Keeper.add`).
+        ask: called with what is to be done by hand; returns when it is done.
+        tell: called with the share that is done.
+        late: s that the quickest frame takes.
+        keep: called all the time with what is new (`Keeper.add`).
     """
 
     def __init__(

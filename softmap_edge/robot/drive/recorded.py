@@ -1,7 +1,7 @@
 """What a control loop recorded and what a camera saw meanwhile, as one run.
 
-`softmap track S --sim --record s.mcap` leaves `s.mcap` and beside it `s.seen` (`kept.py`); whoever opens the first as a
-run gets both. Pinned by tests/robot/test_recorded.py and tests/robot/test_record_robot.py.
+`softmap track S --sim --record s.mcap` leaves `s.mcap` and next to it `s.seen` (`kept.py`); opening the first as a run
+reads both. Pinned by tests/robot/test_recorded.py and tests/robot/test_record_robot.py.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ RECORDING = ".mcap"
 
 
 def open_run(path: str | Path, model: Model | None = None) -> Run:
-    """Return the run of a file: .npz, or what a control loop recorded (.mcap) with what was seen, if kept beside it.
+    """Return the run of a file: .npz, or what a control loop recorded (.mcap) with what was seen, if kept next to it.
 
     A recording that was cut short, or is damaged at one place, is read up to there, and a `RecordingWarning` is issued.
 
@@ -71,10 +71,10 @@ def run_of(recording: Recording, model: Model | None = None) -> tuple[Run, str |
     Raises:
         RunError: as `open_run`, but for numbers that may be wrong.
     """
-    beside = seen_file(recording.file)
-    run, lacks = _seen(recording, beside) if beside.exists() else (recording.run(), None)
-    if recording.incomplete is not None and not beside.exists():
-        lacks = f"its file {beside.name} is missing, so the run has no seen frames"
+    kept_in = seen_file(recording.file)
+    run, lacks = _seen(recording, kept_in) if kept_in.exists() else (recording.run(), None)
+    if recording.incomplete is not None and not kept_in.exists():
+        lacks = f"its file {kept_in.name} is missing, so the run has no seen frames"
     lacks = "; ".join(filter(None, [recording.incomplete, lacks])) or None
     if lacks is not None:
         run = replace(run, extra=run.extra | {DAMAGE: np.array(lacks)})
@@ -83,18 +83,18 @@ def run_of(recording: Recording, model: Model | None = None) -> tuple[Run, str |
     return converted(model, run), lacks
 
 
-def _seen(recording: Recording, beside: Path) -> tuple[Run, str | None]:
+def _seen(recording: Recording, kept_in: Path) -> tuple[Run, str | None]:
     """Return a recording with what was kept of what was seen, and a sentence on the part of that which is missing."""
-    kept = read_kept(beside)
+    kept = read_kept(kept_in)
     if kept.clock:
         raise RunError(
-            f"{recording.file}: of a command file that was cut; `softmap record COMMANDS --recover {beside} --record "
+            f"{recording.file}: of a command file that was cut; `softmap record COMMANDS --recover {kept_in} --record "
             f"{recording.file} --out RUN.npz` makes its run"
         )
     run, inside = with_seen(recording, [frame for _, frame in kept.taken], kept.camera, kept.vertices)
     if len(inside) and not inside.any():
         raise RunError(
-            f"{beside}: none of its {len(inside)} frames was seen while {recording.file.name} was driven; is it that "
+            f"{kept_in}: none of its {len(inside)} frames was seen while {recording.file.name} was driven; is it that "
             "of another recording? Move it away, and the run is one of which nothing was seen"
         )
     return replace(run, robot=kept.robot), kept.lacks
@@ -106,8 +106,8 @@ def with_seen(
     """Return a recording as a run with these frames, and which of them (K,) lie within it.
 
     Args:
-        camera: the clock of the frames. vertices: how many points a frame of the whole body has; any other number are
-            markers.
+        camera: the clock of the frames.
+        vertices: how many points a frame of the full body has; any other number are markers.
 
     Raises:
         RunError: as `Recording.run`, or frames of several numbers of points.
@@ -123,11 +123,11 @@ def with_seen(
     if not inside.any():
         return run, inside
     points = np.array([frame.points for frame in frames], float)[inside]
-    whole = counts == [vertices]
+    full_body = counts == [vertices]
     return replace(
         run,
         t_seen=taken[inside],
-        vertices=points if whole else None,
-        markers=None if whole else points,
+        vertices=points if full_body else None,
+        markers=None if full_body else points,
         visible=np.isfinite(points).all(axis=2),
     ), inside

@@ -18,7 +18,7 @@ from softmap_edge.files.atomic import Document
 Floats = NDArray[np.float64]
 
 LONGEST = (0.5, 0.4)  # s of delay and of lag that are looked at
-MOVES = 30.0  # ticks that a servo must move to tell anything
+MOVES = 30.0  # ticks that a servo must move to give a response
 
 
 def fit_response(t: Floats, goal: Floats, position: Floats) -> tuple[float, float] | None:
@@ -27,8 +27,8 @@ def fit_response(t: Floats, goal: Floats, position: Floats) -> tuple[float, floa
     One pair for all servos: the median of those that move.
     """
     found = []
-    for asked, told in zip(goal.T, position.T):
-        if np.ptp(asked) < MOVES or np.ptp(told) < MOVES / 2:
+    for asked, measured in zip(goal.T, position.T):
+        if np.ptp(asked) < MOVES or np.ptp(measured) < MOVES / 2:
             continue
         delay, lag, steps = 0.25, 0.2, (0.25, 0.2)
         for _ in range(3):
@@ -36,7 +36,7 @@ def fit_response(t: Floats, goal: Floats, position: Floats) -> tuple[float, floa
             lags = np.clip(np.linspace(lag - steps[1], lag + steps[1], 21), 0.0, LONGEST[1])
             sets = np.stack(np.meshgrid(delays, lags, indexing="ij"), axis=-1).reshape(-1, 2)
             made = _core.Chain(["latency", "lag"], 1).rollout(sets, asked[:, None], t)[..., 0]
-            miss = made - told
+            miss = made - measured
             best = int(np.argmin(np.var(miss, axis=1)))
             delay, lag = map(float, sets[best])
             steps = (steps[0] / 10, steps[1] / 8)
@@ -49,9 +49,9 @@ def fit_response(t: Floats, goal: Floats, position: Floats) -> tuple[float, floa
 
 def response_of(periods: Sequence[Document]) -> tuple[float, float] | None:
     """Return delay and lag of the servos from periods of a recording in which goals were sent and all were heard."""
-    whole = [p for p in periods if p["torque"] and None not in p["goal"] and None not in p["position"]]
-    if len(whole) < 50:
+    complete = [p for p in periods if p["torque"] and None not in p["goal"] and None not in p["position"]]
+    if len(complete) < 50:
         return None
-    t = np.array([p["now"] for p in whole], float) * 1e-9
-    goal, position = (np.array([p[key] for p in whole], float) for key in ("goal", "position"))
+    t = np.array([p["now"] for p in complete], float) * 1e-9
+    goal, position = (np.array([p[key] for p in complete], float) for key in ("goal", "position"))
     return fit_response(t - t[0], goal, position)

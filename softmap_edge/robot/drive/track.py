@@ -1,7 +1,7 @@
 """Lead the tip along a figure: the path, its timing, the commands, the run on servos, and how far off it was.
 
 The servos' own answer (delay, lag) is measured at the start by a small move and previewed; the effects of the model are
-undone in the control loop, from what was really sent. Where a camera sees the tip, what is left can be fed back
+compensated in the control loop, from what was really sent. Where a camera sees the tip, what is left can be fed back
 (`observe`). Pinned by tests/robot/test_track.py.
 """
 
@@ -109,7 +109,7 @@ def course(
 
     targets, _, counts, quickest = whole(fine=False)
     plan = kinematics.plan(targets, np.arange(len(targets)) / rate, method=method)
-    # Where a tendon hangs slack a whole mm of command may lie between two waypoints: no servo follows that. Then the
+    # Where a tendon hangs slack a full mm of command may lie between two waypoints: no servo follows that. Then the
     # path is timed evenly in ticks, and what was timed is to act, although the tip strays while it is taken up.
     if method == "exact" and (np.abs(np.diff(plan.acting @ back, axis=0)) * rate > np.asarray(slew)).any():
         targets, acting, counts, quickest = whole(fine=True)
@@ -143,10 +143,10 @@ def track(
     late: float = 0.0,
     progress: Callable[[str, float], None] | None = None,
 ) -> Tracked:
-    """Drive a course on an entered `robot` that records, and judge it by what `seen` tells.
+    """Drive a course on an entered `robot` that records, and measure its error with `seen`.
 
     A tip that is not seen for `GONE` s is no longer fed back: what was known of it fades, and nothing else changes.
-    `late` s is what the quickest frame takes; `progress` is told what goes on and to what share it is done.
+    `late` s is what the quickest frame takes; `progress` is called with the current step and the share that is done.
 
     Raises:
         SoftmapError: the robot records nothing, feedback without a camera, or the guard stopped.
@@ -159,9 +159,9 @@ def track(
     _play(robot, lambda t: home, SETTLED)
     slope = robot.calibration.A  # command a tick
     _play(robot, lambda t: home + slope @ _probe(t, len(home)), PROBE[1] + SETTLED, partial(say, "measuring servos"))
-    told = _meanwhile(robot, home, partial(_response, robot.recording))
+    measured = _meanwhile(robot, home, partial(_response, robot.recording))
     robot.check_recorded()  # what broke off measured nothing
-    delay, lag = told or (0.0, 0.0)
+    delay, lag = measured or (0.0, 0.0)
     plan = course.plan
     delays, lags = (own + more for own, more in zip((delay, lag), kinematics.delays))  # (C,) s
     asked = early(plan.acting, plan.t, delays, lags)
@@ -178,7 +178,7 @@ def track(
     _play(robot, lambda t: asked[-1], ARRIVED)
     frames = [] if seen is None else seen()
     _play(robot, lambda t: asked[-1], SETTLED - ARRIVED)
-    return _judged(kinematics, course, frames, begun, told, late)
+    return _errors_of(kinematics, course, frames, begun, measured, late)
 
 
 def spread(error: Floats) -> Document:
@@ -191,11 +191,11 @@ def _play(
 ) -> None:
     """Send what `command` says at each time since now, `SENT` times a second; `say` the share done."""
     begun = due = robot.time.now()
-    said = -1.0
+    reported = -1.0
     while (now := robot.time.now()) - begun < seconds:
         robot.target(command(now - begun))
-        if say is not None and now - said >= 0.1:
-            said = now
+        if say is not None and now - reported >= 0.1:
+            reported = now
             say((now - begun) / seconds)
         due = max(due + 1.0 / SENT, now)
         robot.time.sleep(max(0.0, due - robot.time.now()))
@@ -231,7 +231,7 @@ def _tips(kinematics: Kinematics, frames: Sequence[Frame]) -> Floats:
     return np.array([np.asarray(frame.points, float)[index].mean(axis=0) for frame in frames]).reshape(-1, 3)
 
 
-def _judged(
+def _errors_of(
     kinematics: Kinematics,
     course: Course,
     frames: Sequence[Frame],

@@ -132,7 +132,7 @@ class EmulatedFinger:
         return frames[:-LATEST] + [frame for frame in frames[-LATEST:] if frame.arrived <= now]
 
     def acting(self) -> tuple[Floats, Floats]:
-        """Return what truly acted: times (T,) s, monotonic, and (T, C) mm. No robot tells that."""
+        """Return what truly acted: times (T,) s, monotonic, and (T, C) mm. A real robot does not report it."""
         known = list(self._acting)
         return np.array([t for t, _ in known]), np.array([u for _, u in known])
 

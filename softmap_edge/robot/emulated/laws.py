@@ -14,7 +14,7 @@
 
 Units: s, mm, g, degrees. Each law is in equilibrium with its first command held for ever. `scaled(s)` multiplies the
 strength and keeps the character; `LIMIT` is the largest s that is still plausible for a real finger. Loops over time
-stand here in Python on purpose: they judge the compiled loops. Pinned by `tests/synthetic/test_truth.py` against
+stand here in Python on purpose: they validate the compiled loops. Pinned by `tests/synthetic/test_truth.py` against
 closed forms.
 """
 

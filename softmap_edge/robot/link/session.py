@@ -1,6 +1,6 @@
 """What datagrams of this package share: a key in a file, a signature, an address, and the two ends of a session.
 
-HMAC-SHA256 under a shared key: whoever has no key can neither write nor change a datagram; they are not secret.
+HMAC-SHA256 under a shared key: without it a datagram can be read, but neither written nor changed.
 
 A session is a random number of the listener's: it offers it, signed, to who signs rightly under another one, and
 sequence numbers must rise within it. So a recorded datagram counts nowhere again, also after either side was started
@@ -210,7 +210,7 @@ class Listener(_Link):
         return True
 
     def _offer(self, address: Any, now: float) -> None:
-        """Tell who signs rightly, but not under our session, what to sign under."""
+        """Offer our session to a sender with the right key but another session."""
         if now - self._offered[1] >= OFFER_LASTS:
             self._offered = (secrets.token_bytes(SESSION), now)
         try:

@@ -111,7 +111,7 @@ class Kinematics:
         return _core.Inverse(self.model.chain, self.model.chain_params, low.tolist(), high.tolist(), *self._world)
 
     def document(self) -> Document | None:
-        """Return what the control loop needs to undo the effects, None where there are none to undo."""
+        """Return what the control loop needs to compensate the effects, None where there are none."""
         if not self.model.chain_names:
             return None
         gravity, load, temperature = self._world
@@ -174,10 +174,10 @@ class Kinematics:
         method: str = "exact",
         acting: Floats | None = None,
     ) -> Plan:
-        """Return the commands that lead the tip through `targets` (T, 3) mm at times `t` (T,) s, effects undone.
+        """Return the commands that lead the tip through `targets` (T, 3) mm at times `t` (T,) s, effects compensated.
 
         The finger has rested at home, or at the command `start` (C,) mm, for long before the first of them. What is to
-        act is solved for, unless `acting` (T, C) mm tells it.
+        act is solved for, unless `acting` (T, C) mm gives it.
 
         Raises:
             SoftmapError: as `solve`, or times that do not rise.

@@ -18,7 +18,7 @@ P = ParamSpec("P")
 T = TypeVar("T")
 
 PATTERNS = ("serial/by-id/*", "ttyUSB*", "ttyACM*", "ttyAMA*", "ttyTHS*")
-TRIES = 10  # of a question, before a servo is said not to answer
+TRIES = 10  # of a question, before a servo is reported as not answering
 ASKED = 10  # times that a servo is asked whether its torque is off
 
 
@@ -63,7 +63,7 @@ def patiently(ask: Callable[P, T], *args: P.args, **named: P.kwargs) -> T:
 
 def pinged(bus: _core.ServoBus, id: int) -> tuple[int, int] | None:
     """Return model number and firmware of a servo; None if it does not answer, several times asked."""
-    return next((told for _ in range(TRIES) if (told := bus.ping(id)) is not None), None)
+    return next((number for _ in range(TRIES) if (number := bus.ping(id)) is not None), None)
 
 
 def heard(bus: _core.ServoBus, id: int, address: int, size: int) -> bytes:
@@ -77,9 +77,9 @@ def heard(bus: _core.ServoBus, id: int, address: int, size: int) -> bytes:
     except NoAnswer:
         from softmap_edge.robot.servo.presence import muted
 
-        said = muted(bus, id)
-        fault = NoAnswer(f"servo {id}{'' if said.startswith('answers') else ':'} {said}")
-        fault.why = said
+        message = muted(bus, id)
+        fault = NoAnswer(f"servo {id}{'' if message.startswith('answers') else ':'} {message}")
+        fault.why = message
         raise fault from None
 
 

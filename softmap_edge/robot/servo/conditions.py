@@ -19,14 +19,14 @@ COOL_DOWN = "let it cool with torque off, and find why it got warm: a load, litt
 POWER = "check the power supply and its cable"
 
 
-def unfit(found: ServoState, values: Values, asked: Asked | None, proved: bool) -> list[str]:
+def unfit(found: ServoState, values: Values, asked: Asked | None, homed: bool) -> list[str]:
     """Return a sentence for each reading for which the guard refuses to start: the finding and, after "; ", the remedy.
 
     Args:
         found: the servo.
         values: its registers.
         asked: the requirements of the rig; None for the usual ones.
-        proved: whether its home is proved; without it a position is compared with no window.
+        homed: whether it is homed; without it a position is compared with no window.
     """
     if found.model is None:
         return []
@@ -35,7 +35,7 @@ def unfit(found: ServoState, values: Values, asked: Asked | None, proved: bool) 
         too_hot(values["present_temperature"], asked.hot),
         undersupplied(values["present_input_voltage"] / PER_VOLT, asked.voltage),
     ]
-    if proved and asked.window is not None:
+    if homed and asked.window is not None:
         lines.append(outside(found.id, values["present_position"], asked.window))
     return [f"it {line}" for line in lines if line]
 

@@ -50,15 +50,15 @@ class Emergency:
     udp: Beats | None = None
 
     def __str__(self) -> str:
-        said = []
+        message = []
         if self.gpio is not None:
-            said.append(f"line {self.gpio.line} of {self.gpio.chip}")
+            message.append(f"line {self.gpio.line} of {self.gpio.chip}")
         if self.udp is not None:
-            said.append(f"no heartbeat at UDP port {self.udp.port} for {self.udp.timeout:g} s")
-        return ", or ".join(said) or "none"
+            message.append(f"no heartbeat at UDP port {self.udp.port} for {self.udp.timeout:g} s")
+        return ", or ".join(message) or "none"
 
     def setup(self) -> Document:
-        """Return what the loop's process is told; never the key itself."""
+        """Return the settings for the loop's process; never the key itself."""
         gpio, udp = self.gpio, self.udp
         return {
             "gpio": None if gpio is None else [gpio.chip, gpio.line, gpio.active_low],

@@ -130,8 +130,8 @@ def started(port: str, baud: int, asked: Sequence[Member]) -> list[str]:
         ServoError: a servo does not meet its requirements or does not answer; the message names the remedy.
     """
     seen = examined(port, baud, asked)
-    if said := refusal(seen):
-        raise ServoError(said)
+    if message := refusal(seen):
+        raise ServoError(message)
     if not any(one.passing for one in seen):
         return []
     with opened(port, baud) as bus:
@@ -158,8 +158,8 @@ def _one(bus: _core.ServoBus, member: Member) -> ExaminedServo:
     wrong = complaints(found, values, member.asked)
     if bus.counts()["unasked"] > before and shared(bus, member.id):
         wrong.insert(0, shares(bus, member.id))
-    proved = member.asked.window is not None and marked(bus, member.id, member.asked.home)
-    sensed = tuple(unfit(found, values, member.asked, proved))
+    homed = member.asked.window is not None and marked(bus, member.id, member.asked.home)
+    sensed = tuple(unfit(found, values, member.asked, homed))
     return ExaminedServo(member.id, found, tuple(wrong), tuple(passing(found, values, member.asked)), values, sensed)
 
 

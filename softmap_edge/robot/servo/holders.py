@@ -84,10 +84,10 @@ def _is_other_end(file: Path, number: int, device: int) -> bool:
     if (os.major(number), os.minor(number)) != (5, 2):  # /dev/ptmx
         return False
     try:
-        said = (file.parents[1] / "fdinfo" / file.name).read_text("utf-8", "replace")
+        message = (file.parents[1] / "fdinfo" / file.name).read_text("utf-8", "replace")
     except OSError:
         return False
-    index = [line.split()[-1] for line in said.splitlines() if line.startswith("tty-index:")]
+    index = [line.split()[-1] for line in message.splitlines() if line.startswith("tty-index:")]
     return os.major(device) in range(136, 144) and index == [str((os.major(device) - 136) * 256 + os.minor(device))]
 
 

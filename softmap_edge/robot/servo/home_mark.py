@@ -1,11 +1,11 @@
-"""A mark in each servo that says: home was proved since power came on, and it is this tick.
+"""A mark in each servo: it was homed since power came on, and its home is this tick.
 
-In modes 4 and 5 a servo counts turns and loses them without power; nothing that it tells of itself says so. So homing
+In modes 4 and 5 a servo counts turns and loses them without power, and none of its registers shows that. So homing
 leaves a mark in memory that power-up and reboot clear and that nothing here uses otherwise: the first eight indirect
 addresses (registers 168 to 183, RAM on every X-series servo; while indirect data are not read they do nothing). It is
 made of id and home, so that the mark of another servo or of another home counts for nothing. Its values are addresses
 that may be mapped on every model (120 to 135, four bits each). A servo that restores its RAM at power-up (startup
-configuration, register 60) is refused: its mark would prove nothing. Pinned by tests/robot/test_home.py.
+configuration, register 60) is refused: its mark would show nothing. Pinned by tests/robot/test_home.py.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ AGAIN = "home the robot with `softmap servo home --rig FILE`"
 
 
 def mark(id: int, home: int) -> bytes:
-    """Return the mark of servo `id` whose home was proved to be `home`."""
+    """Return the mark of servo `id` that was homed at `home`."""
     number = zlib.crc32(f"softmap home {id} {home}".encode())
     return b"".join((MAPPABLE + (number >> 4 * k & 15)).to_bytes(2, "little") for k in range(DIGITS))
 
@@ -36,14 +36,14 @@ def set_mark(bus: _core.ServoBus, id: int, home: int | None) -> None:
     Raises:
         ServoError: the servo does not answer or does not keep it.
     """
-    wanted = MAPPABLE.to_bytes(2, "little") * DIGITS if home is None else mark(id, home)
-    patiently(bus.write, id, MARK, wanted)
-    if heard(bus, id, MARK, SIZE) != wanted:
+    digits = MAPPABLE.to_bytes(2, "little") * DIGITS if home is None else mark(id, home)
+    patiently(bus.write, id, MARK, digits)
+    if heard(bus, id, MARK, SIZE) != digits:
         raise ServoError(f"servo {id} does not keep the mark of its home (registers {MARK} on); nothing can prove it")
 
 
 def forget(port: str, baud: int, ids: Iterable[int]) -> None:
-    """Take the marks of servos away, so that their home has to be proved again; one that does not answer is left."""
+    """Clear the marks of servos, so that they must be homed again; a servo that does not answer is left as it is."""
     with suppress(ServoError), opened(port, baud, shared=True) as bus:  # a port that is gone
         for id in ids:
             with suppress(ServoError):
@@ -51,18 +51,18 @@ def forget(port: str, baud: int, ids: Iterable[int]) -> None:
 
 
 def marked(bus: _core.ServoBus, id: int, home: int | None) -> bool:
-    """Return whether `home` of servo `id` has been proved since it got power."""
+    """Return whether servo `id` was homed at `home` since it got power."""
     return home is not None and heard(bus, id, MARK, SIZE) == mark(id, home)
 
 
 def no_home(ids: Sequence[int]) -> str:
-    """Return what is to be said of servos without a home."""
+    """Return the message on servos without a home."""
     which = f"servo {ids[0]} has" if len(ids) == 1 else f"servos {', '.join(map(str, ids))} have"
     return f"{which} no home; {AGAIN}"
 
 
 def check_proved(bus: _core.ServoBus, servos: Sequence[tuple[int, int | None]]) -> None:
-    """Refuse servos (id, home) whose home is not known, or has not been proved since they got power.
+    """Refuse servos (id, home) whose home is not known, or that were not homed since they got power.
 
     Raises:
         ServoError: so, or one does not answer.

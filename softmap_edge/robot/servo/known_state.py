@@ -219,5 +219,5 @@ def _steps(model: ServoModel, slew: float) -> int:
 def gains_of(rig_made: Mapping[str, Document], id: int) -> tuple[int, ...]:
     """Return the gains of a servo at set-up, from `[made]` of its rig; empty if they are not known."""
     kept = rig_made.get(SET_UP, {}).get(f"servo_{id}", [])
-    whole = isinstance(kept, list) and len(kept) == len(GAINS)
-    return tuple(kept) if whole and all(type(one) is int and 0 <= one <= MOST_GAIN for one in kept) else ()
+    complete = isinstance(kept, list) and len(kept) == len(GAINS)
+    return tuple(kept) if complete and all(type(one) is int and 0 <= one <= MOST_GAIN for one in kept) else ()

@@ -34,7 +34,7 @@ from softmap_edge.robot.servo.rig_ceiling import AT_LEAST, RANGES
 Floats = NDArray[np.float64]
 
 IDLE = 0.05  # of a servo's stall current: what motor and gears take without a load
-ASTRAY = 0.03  # of the window: how far home of the bench may lie from the calibration's, but for whole turns
+ASTRAY = 0.03  # of the window: how far home of the rig may lie from the calibration's, but for full turns
 FINGER, CEILING, DATA, OWN = "safety.toml", "rig.toml", "the servo's data", "softmap"
 UNITS = {name: unit for name, (_, _, unit) in _core.limit_ranges().items()}  # none: the commands'
 
@@ -222,9 +222,9 @@ def _box(calibration: Calibration, safety: Safety) -> Floats:
 
 
 def _at_home(rig: Rig, calibration: Calibration, box: Floats) -> Calibration:
-    """Return the calibration with its home moved by as many whole turns as the bench's is away.
+    """Return the calibration with its home moved by as many full turns as the rig's is away.
 
-    A servo whose turns were lost and proved again stands whole turns off; what is left must be little.
+    A servo that lost its turns and was homed again is full turns away; the remainder must be small.
     """
     homes = [calibration.home[k] if servo.home is None else servo.home for k, servo in enumerate(rig.servos)]
     here = calibration.turned(homes)
@@ -324,7 +324,7 @@ def _current(safety: Safety, entry: ServoModel, calibration: Calibration, k: int
 def _robot(
     rig: Rig, safety: Safety, rates: Floats, servos: Iterable[tuple[Limit, ...]], rate: float
 ) -> tuple[Limit, ...]:
-    """Return the limits of the whole robot."""
+    """Return the limits that hold for all servos together."""
     ends = [(float(_of(one, "low").value), float(_of(one, "high").value)) for one in servos]
     placed = [servo_limits(servo.model, 0, end) for servo, end in zip(rig.servos, ends)]
     usual = loop_limits(placed, rate)

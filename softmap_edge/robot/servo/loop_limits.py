@@ -25,7 +25,7 @@ CURRENT = 0.35  # of a servo's own limit
 FASTER = 1.5  # than a servo's own fastest turn is no position to believe
 BAND = 0.02  # mm that a goal comes back before its servo turns
 JOG_SLEW, JOG_CURRENT = 200.0, 150.0  # ticks/s, mA: what a jog may do
-COOL = (15.0, 5.0)  # °C below its own limit at which a servo's current is cut back, and at which it slackens
+COOL = (15.0, 5.0)  # °C below its own limit at which a servo's current is cut back, and at which tension is released
 
 
 def servo_limits(model: str, home: int, window: tuple[float, float]) -> ServoLimits:
@@ -69,7 +69,7 @@ def following(slew: float) -> float:
     """Return how far (ticks) a servo may be behind a goal that moves with up to `slew` (ticks/s).
 
     Real servos are behind by their delay at each speed: a limit below that drops the torque of a healthy finger, and
-    its home must be proved anew. What is really blocked pulls for some tenths of a second more, within its current cap.
+    it must be homed again. What is really blocked pulls for some tenths of a second more, within its current cap.
     """
     return min(max(NEAR, BEHIND * slew), float(_core.limit_ranges()["following"][1]))
 

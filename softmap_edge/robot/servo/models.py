@@ -1,4 +1,4 @@
-"""What is known of a servo's model: its entry in the compiled table, by name or by the number that it tells.
+"""What is known of a servo's model: its entry in the compiled table, by name or by the number that it reports.
 
 An entry has `name`, `number`, `baud_rates`, `operating_mode`, what the servo can do and what it draws; a model without
 a current sensor has None for its currents. Pinned by tests/robot/test_rig_file.py.
@@ -45,5 +45,5 @@ def servo_model(name: str) -> ServoModel:
 
 
 def numbered(number: int) -> ServoModel | None:
-    """Return what is known of the model that tells this number, None of a stranger."""
+    """Return the entry of the model with this number, None of an unknown one."""
     return next((model for model in _core.servo_models() if model["number"] == number), None)

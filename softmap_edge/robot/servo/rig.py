@@ -28,7 +28,7 @@ KEPT = ("home", "current_mA", "low", "high", "slew", "acceleration")  # of a ser
 
 @dataclass(frozen=True)
 class RigServo:
-    """A servo: its id on the bus, its model's name, and the tick at which the finger is straight (None: never proved).
+    """A servo: its id on the bus, its model's name, and the tick at which the finger is straight (None: never homed).
 
     Its ceiling, None where none was found: mA at the stroke, ticks about home, ticks/s, ticks/s².
     """
@@ -94,12 +94,12 @@ class Rig:
             lines += [
                 "",
                 f"[made.{quoted(name)}]",
-                *(f"{quoted(key)} = {written(said)}" for key, said in found.items()),
+                *(f"{quoted(key)} = {written(message)}" for key, message in found.items()),
             ]
         return "\n".join(lines) + "\n"
 
     def write(self, path: str | Path) -> None:
-        """Write a new `rig.toml`, whole or not at all."""
+        """Write a new `rig.toml`, complete or not at all."""
         write_atomically(path, self.to_toml())
 
     def note(self, path: str | Path) -> None:
@@ -122,7 +122,7 @@ def read_rig(path: str | Path) -> Rig:
     """Read a `rig.toml`.
 
     Raises:
-        ServoError: it is missing, no TOML, of another schema, an entry is not what it has to be, or nobody knows a key:
+        ServoError: it is missing, no TOML, of another schema, an entry is not what it has to be, or a key is unknown:
             a mistyped stop or limit would be none.
     """
     file = Path(path)

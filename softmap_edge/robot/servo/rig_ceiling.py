@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 Value = float | tuple[float, float]
 
-# What a bench does not set: its rate, what was counted or proved, and a servo's own data.
+# What a rig does not set: its rate, what was counted or homed, and a servo's own data.
 OTHERS = ("servos", "period", "home", "fastest", "voltage")
 AT_LEAST = ("low", "ramp", "band")  # of these the larger is the stricter
 # Name: lowest and highest value, as the compiled guard has them; it checks them again, together.
@@ -79,8 +79,7 @@ def check_bench(rig: Rig, limits: LoopLimits) -> None:
     """Refuse limits of a robot that its bench does not allow.
 
     Raises:
-        ServoError: a servo's home is another than the one of the rig, which is the one that is proved, or a limit lies
-            above the ceiling.
+        ServoError: a servo's home differs from the homed one of the rig, or a limit lies above the ceiling.
     """
     for k, servo in enumerate(rig.servos):
         home = limits["servos"][k]["home"]

@@ -90,12 +90,12 @@ QUIET = ("engaged", "ready")  # states in which the cause is that of what was be
 
 
 def level(report: LoopReport) -> Level:
-    """Return the kind of state that a report tells, of which each has a colour."""
+    """Return the kind of state in a report; each kind has a colour."""
     return LEVELS.get(str(report.get("state", "off")), "off")
 
 
 def state(report: LoopReport) -> str:
-    """Return the short name of the state that a report tells."""
+    """Return the short name of the state in a report."""
     name = str(report.get("state", "off"))
     return NAMES.get(name, name)
 
@@ -103,10 +103,10 @@ def state(report: LoopReport) -> str:
 def cause(report: LoopReport, limits: LoopLimits | None = None) -> str:
     """Return why it is in that state, "" if the report names no cause; with `limits` with the value and its limit."""
     name, servo = str(report.get("cause", "none")), report.get("servo")
-    if name == "hardware" and (said := errors(report)):
-        return said
-    if name in SENSED and (said := parted(denied_for(name, report, limits))[0]):
-        return said
+    if name == "hardware" and (message := errors(report)):
+        return message
+    if name in SENSED and (message := parted(denied_for(name, report, limits))[0]):
+        return message
     why = CAUSES.get(name, name)
     if isinstance(servo, int) and why.startswith("a servo"):
         id = report.get("id")
@@ -118,18 +118,18 @@ def errors(report: LoopReport) -> str:
     """Return the hardware errors of the servos as text; "" if there are none."""
     known = report.get("hardware") or []
     ids = report.get("ids") or list(range(1, len(known) + 1))
-    said = [f"servo {id} reports a hardware error: {hardware(bits)}" for id, bits in zip(ids, known) if bits]
-    return ", ".join(said)
+    message = [f"servo {id} reports a hardware error: {hardware(bits)}" for id, bits in zip(ids, known) if bits]
+    return ", ".join(message)
 
 
 def bus(counts: BusCounts) -> str:
     """Return a sentence on answers that were lost or not asked for; "" if there are none."""
     asked, lost, damaged, unasked = counts["asked"], counts["lost"], counts["damaged"], counts["unasked"]
-    said = [f"{unasked} answers came that this program did not ask for"] if unasked else []
-    said += [f"{lost} of {asked} answers of the servos were lost"] if lost > MANY_LOST * asked else []
-    said += [f"{damaged} were damaged"] if said and damaged else []
+    message = [f"{unasked} answers came that this program did not ask for"] if unasked else []
+    message += [f"{lost} of {asked} answers of the servos were lost"] if lost > MANY_LOST * asked else []
+    message += [f"{damaged} were damaged"] if message and damaged else []
     why = "another program uses the port, or two servos share an id" if unasked else "look at the wiring of the bus"
-    return f"{', '.join(said)}; {why}" if said else ""
+    return f"{', '.join(message)}; {why}" if message else ""
 
 
 def where(report: LoopReport, limits: LoopLimits | None = None) -> str:
@@ -181,7 +181,7 @@ def _remedy(report: LoopReport) -> str:
 
 
 def _unhomed(report: LoopReport) -> bool:
-    """Return whether home has to be proved again."""
+    """Return whether the robot must be homed again."""
     state = report.get("state", "off")
     return state in ("off", "connected") or (state == "fault" and report.get("cause") in LOSES_HOME)
 
@@ -193,38 +193,38 @@ def restarts(report: LoopReport) -> str:
     return f"find the cause, restart it (`softmap servo reboot --rig FILE --id {id}`, or its supply off and on)"
 
 
-def denied(said: str, report: LoopReport | None = None, limits: LoopLimits | None = None) -> str:
+def denied(message: str, report: LoopReport | None = None, limits: LoopLimits | None = None) -> str:
     """Return why a request was denied, of what the loop's report says: `from(ready)`, `trouble(late)`, `torque`, …"""
-    kind, _, of = said.rstrip(")").partition("(")
+    kind, _, of = message.rstrip(")").partition("(")
     if named := denied_for(of or kind, report or {}, limits):
         return named
     why = NAMES.get(of) or CAUSES.get(of) or of
     why += f"; {REMEDIES[of]}" if limits is not None and of in REMEDIES else ""
     if of == "hardware" and (named := errors(report or {})):
         why = f"{named}; {restarts(report or {})}"
-    return DENIED[kind].format(why) if kind in DENIED else said
+    return DENIED[kind].format(why) if kind in DENIED else message
 
 
 def sentence(report: LoopReport) -> str:
     """Return what the guard's newest report says, and why."""
     name = str(report.get("state", "off"))
-    said = STATES.get(name, name)
+    message = STATES.get(name, name)
     why = "" if name in QUIET else cause(report)
     if name == "fault" and (report.get("torque") or report.get("cause") == "silent"):
-        said = "Fault, torque off was sent; not every servo confirmed it"
+        message = "Fault, torque off was sent; not every servo confirmed it"
     rescued = report.get("rescued")
-    return f"{said}: {why}" + (f" ({rescued})" if rescued else "") if why else said
+    return f"{message}: {why}" + (f" ({rescued})" if rescued else "") if why else message
 
 
 def limits(report: LoopReport) -> list[str]:
     """Return what the guard keeps the targets from."""
-    told = {
+    flags = {
         "outside": "at the edge of the window",
         "slowed": "as fast as allowed",
         "jumped": "a jump is slowed down",
         "refused": "a target is refused",
     }
-    return [text for key, text in told.items() if report.get(key)]
+    return [text for key, text in flags.items() if report.get(key)]
 
 
 def lost(report: LoopReport, why: str) -> str:
@@ -241,7 +241,7 @@ def lost(report: LoopReport, why: str) -> str:
 
 
 def kept_words(ids: Sequence[int]) -> str:
-    """Return what is to be said of servos that have not confirmed that their torque is off."""
+    """Return the message on servos that have not confirmed that their torque is off."""
     which, several = ", ".join(map(str, ids)), len(ids) > 1
     who, its, it = ("servos", "their", "they answer") if several else ("servo", "its", "it answers")
     return f"{who} {which} did not confirm that {its} torque is off; cut {its} supply, or `softmap servo off` once {it}"

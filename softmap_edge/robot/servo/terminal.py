@@ -1,7 +1,7 @@
-"""The keys of a terminal: what is typed, by name, and one that is held, which a terminal does not tell.
+"""The keys of a terminal: what is typed, by name, and a held key, which a terminal does not report.
 
-A terminal tells no key-up. It repeats a held key: the first time after `FIRST` s at most, then each `REPEAT` s at
-most. So a key that was pressed once may be held or not, and only its first repetition tells: what must not run on
+A terminal reports no key-up. It repeats a held key: the first time after `FIRST` s at most, then each `REPEAT` s at
+most. So a key that was pressed once may be held or not, and only its first repetition shows it: what must not run on
 after a tap (`robot/commissioning/keys.py`) begins with that. Pinned by tests/robot/test_clutch.py,
 tests/robot/test_move.py and tests/robot/test_emergency_key.py.
 """
@@ -27,13 +27,13 @@ MOST = 4096  # bytes that are read at a time: more was pasted, not typed
 
 
 class RepeatedKey:
-    """A key of a terminal, which tells nothing but repetitions: it counts as let go when none came in time."""
+    """A key of a terminal, which reports repetitions only: without one in time it counts as released."""
 
     def __init__(self) -> None:
         self._last, self._again = float("-inf"), False
 
     def press(self, now: float) -> None:
-        """Tell that the key, or a repetition of it, came at `now` s."""
+        """Record that the key, or a repetition of it, came at `now` s."""
         self._again = self.held(now)
         self._last = now
 
@@ -60,7 +60,7 @@ def terminal() -> int | None:
 
 
 def _foreground(file: int) -> bool:
-    """Return whether this process may read `file`: whoever does so from the background is stopped by the system."""
+    """Return whether this process may read `file`; the system stops a background process that reads it."""
     try:
         return os.tcgetpgrp(file) == os.getpgrp()
     except OSError:  # a terminal without job control

@@ -3,7 +3,7 @@
     released → waiting → driving → lost → released
 
 A press waits up to PATIENCE for all that driving needs; whatever goes while it lasts ends it, and the key must be let
-go and pressed anew. What moves is relative: the hand's pose at the press stands for where the finger is (u = 0 after
+go and pressed again. What moves is relative: the hand's pose at the press stands for where the finger is (u = 0 after
 slackening, the paper's), so that nothing jumps. Pinned by tests/robot/test_clutch.py.
 """
 

@@ -1,4 +1,4 @@
-"""A gesture beside the deadman key: it can let go, or be asked for as well, and never stands in for the key.
+"""A gesture in addition to the deadman key: it can let go, or be asked for as well, and never stands in for the key.
 
 `openness` is the mean c_f (hand.py) of middle, ring and little finger, which the driving index finger leaves alone:
 0.65 to 1 for an open palm, about 0 or below for a fist. Between CLOSED and OPEN whatever was there before stays, so
@@ -18,7 +18,7 @@ from softmap_edge.robot.teleop.hand import Hand, projection
 OTHER_FINGERS = ((9, 12), (13, 16), (17, 20))  # knuckle and tip of middle, ring and little finger
 OPEN, CLOSED = 0.5, 0.25  # openness above which a palm is open, and below which a hand is a fist
 DWELL = 0.2  # s for which an asked gesture must last before it counts; letting go is at once
-GAP = 0.5  # s without a picture, after which a gesture must be shown anew
+GAP = 0.5  # s without a picture, after which a gesture must be shown again
 
 Rule = Literal["key", "fist releases", "open palm", "fist"]
 

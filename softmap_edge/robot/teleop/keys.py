@@ -1,6 +1,6 @@
 """The deadman's key that is heard of again and again, what an operator does, and who of several asks for what.
 
-What is heard of less often than every LAPSE counts as let go, and must then be let go and pressed anew: a page or a
+What is heard of less often than every LAPSE counts as let go, and must then be let go and pressed again: a page or a
 computer that comes back after a silence with its key down does not go on by itself. Pinned by
 tests/robot/test_clutch.py.
 """
@@ -19,7 +19,7 @@ LAPSE = STALE  # s without a word, after which a key counts as let go: the guard
 
 
 class HeldKey:
-    """A key whose state is told again and again (`say`), by another thread perhaps."""
+    """A key whose state is reported repeatedly (`say`), by another thread perhaps."""
 
     def __init__(self) -> None:
         self._last, self._down = float("-inf"), False
@@ -27,7 +27,7 @@ class HeldKey:
         self._lock = threading.Lock()
 
     def say(self, down: bool, now: float) -> None:
-        """Tell whether it is down at `now` s, a steady clock."""
+        """Record whether it is down at `now` s, a steady clock."""
         with self._lock:
             silent = now - self._last > LAPSE
             self._must_let_go = down and (self._must_let_go or silent)

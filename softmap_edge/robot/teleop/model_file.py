@@ -3,7 +3,7 @@
 A task file is a plain (stored) zip of two networks in TFLite's form. Google's wheel 0.10.18 of mediapipe (Apache 2.0)
 holds them; the landmarks are those of the published task file. Whatever is given was made by somebody else: sizes are
 bounded before anything is read, nothing is unpacked to a disk, and only what has the right form is written. The
-checksum is kept beside the file, in the form of `sha256sum`, and asked each time. Pinned by
+checksum is kept next to the file, in the form of `sha256sum`, and asked each time. Pinned by
 tests/robot/test_model_file.py.
 """
 
@@ -36,7 +36,7 @@ MOST_MEMBERS = 20_000  # of a wheel, which has some 700
 
 @dataclass(frozen=True)
 class HandModel:
-    """A task file that is whole: where it is, its SHA-256, and what it is known as (empty where it is not)."""
+    """A complete task file: where it is, its SHA-256, and what it is known as (empty where it is not)."""
 
     path: Path
     sha256: str
@@ -53,10 +53,10 @@ def default_path() -> Path:
 
 
 def fetch_model(source: str | Path, to: str | Path | None = None, *, force: bool = False) -> HandModel:
-    """Build the task file from a wheel of mediapipe 0.10.18, or copy a task file; write its checksum beside it.
+    """Build the task file from a wheel of mediapipe 0.10.18, or copy a task file; write its checksum next to it.
 
     Args:
-        source: the wheel or task file; told apart by what they hold, not by their names.
+        source: the wheel or task file; distinguished by their contents, not by their names.
         to: the file to write, `default_path()` without; its folder is made.
         force: replace a file that is there.
 
@@ -85,7 +85,7 @@ def fetch_model(source: str | Path, to: str | Path | None = None, *, force: bool
 
 
 def check_model(path: str | Path) -> HandModel:
-    """Return the task file at `path` if it is whole and is the one whose checksum lies beside it.
+    """Return the task file at `path` if it is complete and matches the checksum next to it.
 
     Raises:
         TeleopError: it is absent, no task file, or not the file that its checksum was written for.

@@ -3,7 +3,7 @@
     cutoff = min_cutoff + beta |dx/dt|       x̂ ← x̂ + a (x − x̂)       a = 1 / (1 + 1 / (2π cutoff dt))
 
 G. Casiez, N. Roussel, D. Vogel, "1€ Filter", CHI 2012, component by component. The speed is low-passed at SPEED_CUTOFF
-itself. After a gap it starts anew from what is seen, and so it does where the clock went back by more than one; a
+itself. After a gap it starts again from what is seen, and so it does where the clock went back by more than one; a
 sample that is late by less changes nothing. Pinned by tests/robot/test_one_euro.py.
 """
 
@@ -32,7 +32,7 @@ class OneEuroState:
 
 @dataclass(frozen=True)
 class OneEuro:
-    """`min_cutoff` Hz at rest, `beta` Hz per unit a second, `gap` s after which it starts anew.
+    """`min_cutoff` Hz at rest, `beta` Hz per unit a second, `gap` s after which it starts again.
 
     Raises:
         TeleopError: a number that is not finite, a cutoff or gap not above 0, beta below 0.
