@@ -8,7 +8,8 @@ W: with M = 1 − φ(φᵀφ)⁻¹φᵀ and G the slopes of each block, H δ = �
 blocks in the metric H, and the scatter of the blocks gives the uncertainty, so slow changes of the robot widen it.
 A change that play and lag explain as well is not reported (`SEPARATE`): a step where the speed of the moves changes.
 b is the rate: frames stamped by a clock that runs fast by 100 ppm come 100 µs later every second. The constant a is
-latency, or one shift of the clock, and is not reported (`clock_shift`). Units: s, mm. Limits: 200 frames in 20
+latency, or one shift of the clock, and is not reported (`clock_shift`). A log that stamps frames and commands in
+the same rows has one clock, and is not examined. Units: s, mm. Limits: 200 frames in 20
 s, commands that explain half of the motion, and a change beyond five standard errors; one step. Pinned by
 tests/checks/test_frame_clock.py.
 """
@@ -155,6 +156,8 @@ def _motion(run: Run) -> tuple[Floats, Floats] | None:
     given = run.command if run.command is not None else run.ticks
     if seen is None or given is None or run.timeless or run.channels == 0:
         return None
+    if np.isin(run.t_seen, run.t).all():
+        return None  # one clock stamped both
     if run.frames < LEAST_FRAMES or len(run.t) < 3 or not np.ptp(given, axis=0).any():
         return None
     there = known(run, seen)

@@ -2,6 +2,7 @@
 
 import json
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -169,3 +170,11 @@ def test_a_drift_within_its_spread_is_neither_reported_nor_corrected(ppm):
         assert not found.differs and found.to_dict()["text"] is None
         assert "agree within" in str(found) and "±" in str(found) and "fast_ppm" not in str(found)
     assert 0.2 < np.sqrt(np.mean(np.square(scores))) < 2.5, "the spread is that of the estimates"
+
+
+def test_rows_with_one_stamp_for_commands_and_frames_have_one_clock():
+    """Frames that come 500 ppm late in such a log are the robot's own doing."""
+    two = run(0, ppm=-500.0)
+    assert frame_clock(two).runs_fast
+    command = np.stack([np.interp(two.t_seen, two.t, u) for u in two.command.T], axis=1)
+    assert frame_clock(replace(two, t=two.t_seen, command=command)) is None

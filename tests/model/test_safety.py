@@ -106,7 +106,7 @@ def test_what_is_edited_by_hand_counts_and_is_told(bundle, tmp_path):
         ("low = [-16.0, -16.0]\n", "", "no low or no high"),
         ("slew = 8.0", "slew = 900.0", "slew = 900.0, expected 0.0032 to 640"),
         ("acceleration = 80.0", "acceleration = nan", "acceleration = nan, expected"),
-        ("slew = 8.0", 'slew = "fast"', "slew is str"),
+        ("slew = 8.0", 'slew = "fast"', "slew is text .fast."),
         ("jump = [8.0, 32.0]", "jump = [8.0, 4.0]", "0 ≤ warned ≤ refused ≤ 32"),
         ("tension_n = 12.75", "tension_n = 90.0", "tension_n = 90.0, expected 0.001 to 25.497"),
         ("stale = 0.25", "stale = 9.0", "stale = 9.0, expected 0.001 to 2"),
