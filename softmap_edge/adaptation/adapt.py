@@ -54,7 +54,7 @@ class Adaptation:
     residual: Document
     error: dict[str, float | None]
     error_on: str
-    judge: Run
+    validation: Run
     runs: list[Run]
 
     @property
@@ -109,11 +109,11 @@ class Adaptation:
         return "\n".join([*lines, *(f"  look at: {text}" for text in self.residual.get("warnings", []))])
 
 
-def _of_residual(told: Document, kept: bool) -> str:
-    if "why" in told:
-        return f"no residual: {told['why']}"
-    every = "" if told["frames"] == told["of_frames"] else f" of {told['of_frames']} (complete ones, {ROWS} at most)"
-    line = f"residual of {told['size_mm']:.2f} mm RMS over the command, learned from {told['frames']} frames{every}"
+def _of_residual(facts: Document, kept: bool) -> str:
+    if "why" in facts:
+        return f"no residual: {facts['why']}"
+    every = "" if facts["frames"] == facts["of_frames"] else f" of {facts['of_frames']} (complete ones, {ROWS} at most)"
+    line = f"residual of {facts['size_mm']:.2f} mm RMS over the command, learned from {facts['frames']} frames{every}"
     return line if kept else f"{line}: left out, it does not surely lower what was held out"
 
 
@@ -122,7 +122,7 @@ def adapt(
     run: Run | Sequence[Run],
     held_out: Run | None = None,
     physics: bool = True,
-    told: Callable[[str], None] | None = None,
+    progress: Callable[[str], None] | None = None,
 ) -> Adaptation:
     """Calibrate a model, add the physics that it lacks, and learn a residual of the rest.
 
@@ -140,7 +140,7 @@ def adapt(
     Raises:
         SoftmapError: the measurement is at fault, too few frames, or runs of another robot.
     """
-    say = told or (lambda line: None)
+    say = progress or (lambda line: None)
     runs = list(run) if isinstance(run, Sequence) else [run]
     base = model.with_residual(None)
     if not runs:
@@ -158,14 +158,14 @@ def adapt(
     rest, residual = _rest(better, shown, added)
     kept = rest is not None and residual["gain_in_se"] > SURE
     if held_out is None:
-        judge, error, on = shown[0], _on_blocks(found, residual), _blocks(found)
+        validation, error, on = shown[0], _on_blocks(found, residual), _blocks(found)
     else:
-        judge, on = _shown(base, held_out, say), "a run that taught nothing, points that were seen"
+        validation, on = _shown(base, held_out, say), "a run that taught nothing, points that were seen"
         alone = rest if found is None else _rest(base, shown, True)[0]
         ways = [base, alone, *([None, None] if found is None else [better, rest])]
-        error = {way: None if m is None else compare(m, judge).error["rms_mm"] for way, m in zip(WAYS, ways)}
+        error = {way: None if m is None else compare(m, validation).error["rms_mm"] for way, m in zip(WAYS, ways)}
     model = rest if kept and rest is not None else better
-    return Adaptation(model, base, calibration, found, residual, error, on, judge, shown)
+    return Adaptation(model, base, calibration, found, residual, error, on, validation, shown)
 
 
 def _rest(model: Model, runs: Sequence[Run], spare: bool) -> tuple[Model | None, Document]:

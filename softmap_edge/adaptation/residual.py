@@ -132,8 +132,8 @@ def _missed(base: Model, runs: Sequence[Run]) -> tuple[list[Missed], Floats]:
             )
         visible = known(run, seen)
         least = LAID_SEEN if laid(run) else 1.0
-        whole = np.flatnonzero(visible.mean(axis=1) >= least)
-        some = run.at(whole[np.unique(np.linspace(0, len(whole) - 1, min(len(whole), room)).astype(int))])
+        complete = np.flatnonzero(visible.mean(axis=1) >= least)
+        some = run.at(complete[np.unique(np.linspace(0, len(complete) - 1, min(len(complete), room)).astype(int))])
         if not some.frames:
             continue
         points = base.points_in_mm(some)
@@ -167,12 +167,12 @@ def _predicted(commands: Floats, taught: Floats, parts: Folds) -> int:
     """Return how many modes, at least one, there are up to the last whose weights commands predict on other blocks."""
     mean, modes = _reduced(taught, MODES)
     weights = (taught - mean) @ modes.T
-    told = np.zeros_like(weights)
+    predicted = np.zeros_like(weights)
     for train, test in parts:
         alone = _fitted_weights(commands[train], weights[train])
         alone |= {"mean": np.zeros(len(modes)), "modes": np.eye(len(modes))}
-        told[test] = family_from(alone).evaluate(commands[test])
-    kept = np.sum((weights - told) ** 2, axis=0) < (1.0 - PREDICTED) * np.sum(weights**2, axis=0)
+        predicted[test] = family_from(alone).evaluate(commands[test])
+    kept = np.sum((weights - predicted) ** 2, axis=0) < (1.0 - PREDICTED) * np.sum(weights**2, axis=0)
     return 1 + int(np.flatnonzero(kept).max(initial=0))
 
 
@@ -187,11 +187,11 @@ def _fitted_weights(commands: Floats, weights: Floats) -> Arrays:
     """Return the arrays of a scattered family, less its modes, for weights (S, m) at commands (S, C)."""
     scale = half_range(commands)
     _, first, place = np.unique(np.round(commands / scale / CLOSE), axis=0, return_index=True, return_inverse=True)
-    place, wanted = place.reshape(-1), LEAST_PLACES * (commands.shape[1] + 1)
-    if len(first) < wanted:
+    place, required = place.reshape(-1), LEAST_PLACES * (commands.shape[1] + 1)
+    if len(first) < required:
         raise SoftmapError(
             f"{len(first)} different commands are too few for a residual of {commands.shape[1]} channels; record "
-            f"at least {wanted}"
+            f"at least {required}"
         )
     count = np.bincount(place)[:, None]
     sums = np.zeros((len(first), weights.shape[1]))

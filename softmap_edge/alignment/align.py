@@ -87,9 +87,9 @@ def align_base(run: Run, places: dict[int, Floats], held: bool = False) -> Align
     """
     seen, visible = _seen(run, run.seen_points)
     base = base_markers(run)
-    whole = np.all(np.isfinite(base), axis=2)
-    seen = np.concatenate([seen, np.where(whole[..., None], base, 0.0)], axis=1)
-    visible = np.concatenate([visible, whole], axis=1)
+    complete = np.all(np.isfinite(base), axis=2)
+    seen = np.concatenate([seen, np.where(complete[..., None], base, 0.0)], axis=1)
+    visible = np.concatenate([visible, complete], axis=1)
     names = sorted(places)
     outside = [n for n in names if not 0 <= n < seen.shape[1]]
     if outside:

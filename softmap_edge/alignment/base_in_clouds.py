@@ -39,7 +39,7 @@ LEAST = 200  # points near the base, of all frames
 GROUPS = 8
 ROUNDS, SETTLED = 30, 1e-5
 TUKEY, TO_SIGMA = 4.685, 1.4826
-TOLD = [0, 1, 3, 4]  # of turns and shifts: roll and height hardly show
+IDENTIFIED = [0, 1, 3, 4]  # of turns and shifts: roll and height hardly show
 CLEAR, LEAST_OFF = 4.0, 0.2  # standard deviations, and mm at the tip, from which a base stands elsewhere
 
 
@@ -110,7 +110,7 @@ def in_base(run: Run, model: Model) -> tuple[Run, Alignment | None]:
     turn, shift = np.abs(rotation_vector(found.pose.rotation)), np.abs(found.pose.shift)
     size = np.r_[np.degrees(turn), shift]
     moved = np.r_[turn * float(np.ptp(model.rest[:, 2])), shift]
-    clear = np.any((size > CLEAR * found.sigma)[TOLD] & (moved > LEAST_OFF)[TOLD])
+    clear = np.any((size > CLEAR * found.sigma)[IDENTIFIED] & (moved > LEAST_OFF)[IDENTIFIED])
     return (found.apply(run), found) if clear else (run, None)
 
 
@@ -150,10 +150,10 @@ class _Normal:
     @property
     def inverse(self) -> Floats:
         """The inverse of the whole matrix in the directions that are told, and for commands."""
-        whole = np.zeros(self.bends.shape[1:])
-        told = np.ix_(*[[*TOLD, *range(6, len(whole))]] * 2)
-        whole[told] = np.linalg.pinv(self.bends.sum(axis=0)[told], hermitian=True)
-        return whole
+        inverse = np.zeros(self.bends.shape[1:])
+        identified = np.ix_(*[[*IDENTIFIED, *range(6, len(inverse))]] * 2)
+        inverse[identified] = np.linalg.pinv(self.bends.sum(axis=0)[identified], hermitian=True)
+        return inverse
 
     def step(self) -> Floats:
         """Return the step (6,) of Gauss and Newton."""
@@ -164,8 +164,8 @@ class _Normal:
         count = len(self.pulls)
         apart = self.pulls - self.pulls.mean(axis=0)
         wander = self.inverse @ (apart.T @ apart) @ self.inverse * count / max(count - 1, 1)
-        whole = self.scatter**2 * self.inverse + student(max(count - 1, 1)) ** 2 * wander
-        return np.asarray(whole[:6, :6], np.float64)
+        covariance = self.scatter**2 * self.inverse + student(max(count - 1, 1)) ** 2 * wander
+        return np.asarray(covariance[:6, :6], np.float64)
 
 
 def _near(cloud: Floats, surface: _core.Surface, centre: Floats, reach: float, zone: tuple[float, float]) -> Floats:

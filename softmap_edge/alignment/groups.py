@@ -78,13 +78,13 @@ class Moved:
 def group(run: Run, seen: Floats, visible: Mask, target: Floats, parts: Sequence[NDArray[np.int64]]) -> Groups:
     """Average each point over each group: the median of what is visible, which a frame gone wrong does not move."""
     shape = (len(parts), seen.shape[1], 3)
-    source, wanted, squares, freedom = np.zeros(shape), np.zeros(shape), 0.0, 0
+    source, targets, squares, freedom = np.zeros(shape), np.zeros(shape), 0.0, 0
     count = np.array([visible[frames].sum(axis=0) for frames in parts])
     for g, frames in enumerate(parts):
         look = np.where(visible[frames][..., None], seen[frames], np.nan)
         known = count[g] > 0
         source[g, known] = np.nanmedian(look[:, known], axis=0)
-        wanted[g, known] = np.nanmean(np.where(np.isnan(look), np.nan, target[frames])[:, known], axis=0)
+        targets[g, known] = np.nanmean(np.where(np.isnan(look), np.nan, target[frames])[:, known], axis=0)
         step = np.diff(look, axis=0)
         step = np.abs(step[np.isfinite(step)])
         if len(step):
@@ -94,7 +94,7 @@ def group(run: Run, seen: Floats, visible: Mask, target: Floats, parts: Sequence
     if run.sigma is not None:
         noise = max(noise, float(np.median(run.sigma)))
     t = np.array([[run.t_seen[frames[0]], run.t_seen[frames[-1]]] for frames in parts])
-    return Groups(source, wanted, count, t, max(noise, 1e-6))
+    return Groups(source, targets, count, t, max(noise, 1e-6))
 
 
 def small_pose(groups: Groups, g: int, weight: Floats, pose: RigidPose) -> Floats:

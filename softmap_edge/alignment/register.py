@@ -41,7 +41,7 @@ NEAR_UNIT = 2.0  # factor between the extent of a cloud and that of the template
 POOR, LOST = 0.8, 0.5  # share of a cloud that counts: less is worth a word; less is another object
 AMID = 0.85  # of the usual share among the clouds of a run: a cloud of which less counts has seen nothing
 NEAR_COST = 0.1  # of the robust cost between two starts of different shape: closer, the wrong one may have won
-TOLD = 5  # frames with warnings that are printed
+PRINTED = 5  # frames with warnings that are printed
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,18 +75,18 @@ class Registered:
         }
 
     def __str__(self) -> str:
-        told = {
+        mean = {
             key: np.median([row[key] for row in self.frames]) for key in ("residual_mm", "noise_mm", "used", "visible")
         }
         lines = [
             f"Registered {len(self.frames)} clouds ({self.mode}), {1e3 * self.seconds / len(self.frames):.0f} ms each",
-            f"  median: {told['residual_mm']:.2f} mm RMS from cloud to surface, noise {told['noise_mm']:.2f} mm, "
-            f"{100 * told['used']:.0f} % of the points count, {100 * told['visible']:.0f} % of the vertices were seen",
+            f"  median: {mean['residual_mm']:.2f} mm RMS from cloud to surface, noise {mean['noise_mm']:.2f} mm, "
+            f"{100 * mean['used']:.0f} % of the points count, {100 * mean['visible']:.0f} % of the vertices were seen",
             "  not measured: roll, what a round finger does about its own axis",
         ]
         wrong = [row for row in self.frames if row["warnings"]]
-        lines += [f"  look at cloud {row['frame']}: {'; '.join(row['warnings'])}" for row in wrong[:TOLD]]
-        return "\n".join([*lines, *([f"  and {len(wrong) - TOLD} more (--json)"] if len(wrong) > TOLD else [])])
+        lines += [f"  look at cloud {row['frame']}: {'; '.join(row['warnings'])}" for row in wrong[:PRINTED]]
+        return "\n".join([*lines, *([f"  and {len(wrong) - PRINTED} more (--json)"] if len(wrong) > PRINTED else [])])
 
     def run(self, of: Run) -> Run:
         """Return the run of clouds `of` as one of vertices, with `visible`, `sigma` (mm) and the roll as not seen."""
@@ -230,18 +230,18 @@ def _row(k: int, one: Document, mode: Mode) -> Document:
 
 
 def _warnings(row: Document, one: Document) -> list[str]:
-    said = []
+    warnings = []
     if "scale" in row and abs(row["scale"] - 1.0) > SCALE:
         percent = 100.0 * (row["scale"] - 1.0)
-        said.append(
+        warnings.append(
             f"the cloud is {abs(percent):.0f} % {'larger' if percent > 0 else 'smaller'} than the template: check unit "
             "and calibration"
         )
     if row["used"] < POOR:
-        said.append(
+        warnings.append(
             f"{100 * row['used']:.0f} % of the cloud lie on the template; the rest is something else, or "
             "the start was wrong"
         )
     if row["doubtful"]:
-        said.append(f"another shape, {one['other'][1]:.0f} mm RMS away, explains the cloud nearly as well")
-    return said
+        warnings.append(f"another shape, {one['other'][1]:.0f} mm RMS away, explains the cloud nearly as well")
+    return warnings

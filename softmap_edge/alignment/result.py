@@ -106,8 +106,8 @@ def in_frame(run: Run, pose: RigidPose, sigma: Floats, frames: RigidPose | None 
         looking = RigidPose(run.cameras[:, :, :3], run.cameras[:, :, 3]).after(pose.inverse())
         change["cameras"] = np.concatenate([looking.rotation, looking.shift[:, :, None]], axis=2)
     before = RigidPose(np.eye(3), np.zeros(3)) if run.frame is None else RigidPose(run.frame[:, :3], run.frame[:, 3])
-    whole = pose.after(before)
-    change |= {"frame": np.column_stack([whole.rotation, whole.shift]), "frame_sigma": sigma}
+    combined = pose.after(before)
+    change |= {"frame": np.column_stack([combined.rotation, combined.shift]), "frame_sigma": sigma}
     return dataclasses.replace(run, **change)
 
 

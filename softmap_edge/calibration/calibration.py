@@ -87,16 +87,16 @@ def calibrate(
     if there is run or there.frame is None:
         return _named(found, recorded)
     before = RigidPose(np.eye(3), np.zeros(3)) if run.frame is None else RigidPose(run.frame[:, :3], run.frame[:, 3])
-    told = base_stood_off(RigidPose(there.frame[:, :3], there.frame[:, 3]).after(before.inverse()))
-    return _named(replace(found, warnings=[told, *found.warnings]), recorded)
+    remark = base_stood_off(RigidPose(there.frame[:, :3], there.frame[:, 3]).after(before.inverse()))
+    return _named(replace(found, warnings=[remark, *found.warnings]), recorded)
 
 
 def _named(found: Calibrated, run: Run) -> Calibrated:
     """Return a calibration that names the run by its hash as it was recorded."""
     calibration = replace(found.calibration, run=run.hash())
     made: Document = {**found.model.made_from, "calibration": run.hash()}
-    whole = replace(found.model, calibration=calibration, made_from=made)
-    return replace(found, model=whole, calibration=calibration)
+    calibrated = replace(found.model, calibration=calibration, made_from=made)
+    return replace(found, model=calibrated, calibration=calibration)
 
 
 def _calibrated(
@@ -145,8 +145,8 @@ def _calibrated(
     )
     mae = float(np.median(matches.mae_mm[seen.frame]))
     made = dict(model.made_from) | {"calibration": run.hash()}
-    whole = replace(model, calibration=calibration, made_from=made)
-    return Calibrated(whole, calibration, rows, found.weight, mae, against, notes)
+    calibrated = replace(model, calibration=calibration, made_from=made)
+    return Calibrated(calibrated, calibration, rows, found.weight, mae, against, notes)
 
 
 def _check(model: Model, run: Run) -> None:
@@ -215,14 +215,16 @@ def _doubts(model: Model, run: Run, matches: Matches) -> list[str]:
 def _check_design(held: HeldOut, edge: int, frames: int) -> None:
     """Refuse held commands that cannot tell A and b."""
     channels = held.ticks.shape[1] if len(held) else 1
-    wanted = SPARE * (channels + 1)
-    told = held.observed.sum(axis=0) if len(held) else np.zeros(1, int)
-    if min(told) < wanted:
+    required = SPARE * (channels + 1)
+    observed = held.observed.sum(axis=0) if len(held) else np.zeros(1, int)
+    if min(observed) < required:
         cut = f"; {edge} of {frames} frames lie at the end of the model's range" if edge else ""
-        slack = f", of which {', '.join(map(str, told))} determine command {', '.join(map(str, range(len(told))))}"
+        slack = (
+            f", of which {', '.join(map(str, observed))} determine command {', '.join(map(str, range(len(observed))))}"
+        )
         raise CalibrationError(
-            f"{len(held)} different held commands{slack if len(held) else ''}{cut}: at least {wanted} are needed for "
-            f"{channels + 1} numbers a command; hold {2 * wanted} or more, on both sides of home, each channel alone "
+            f"{len(held)} different held commands{slack if len(held) else ''}{cut}: at least {required} are needed for "
+            f"{channels + 1} numbers a command; hold {2 * required} or more, on both sides of home, each channel alone "
             "and together"
         )
     for c in range(channels):
@@ -254,8 +256,8 @@ def _design(ticks: Floats, home: Floats) -> Floats:
 def _fit(held: HeldOut, home: Floats, columns: Floats | None = None, use: Mask | slice = slice(None)) -> AffineFit:
     """Fit A and b to the rows `use` of held commands; `columns` (n, m) are fitted beside them."""
     design = _design(held.ticks, home)
-    whole = design if columns is None else np.column_stack([design, columns])
-    return fit(whole[use], held.u[use], held.covariance[use], held.observed[use]).first(design.shape[1])
+    extended = design if columns is None else np.column_stack([design, columns])
+    return fit(extended[use], held.u[use], held.covariance[use], held.observed[use]).first(design.shape[1])
 
 
 def _held_out(
@@ -289,9 +291,9 @@ def _held_out(
         distance = np.linalg.norm(model.predict(still) - seen, axis=2)[visible]
         return float(np.sqrt(np.mean(distance**2)))
 
-    told = off[good][held.observed[good]]
+    observed = off[good][held.observed[good]]
     return {
-        "command": float(np.sqrt(np.mean(told**2))),
+        "command": float(np.sqrt(np.mean(observed**2))),
         "shape_mm": shape_error(at[order]),
         "matched_shape_mm": shape_error(matched[order]),
     }

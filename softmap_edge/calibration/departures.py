@@ -33,7 +33,7 @@ PLACES = (0.2, 0.35, 0.5, 0.65, 0.8)  # quantiles of the ticks at which a kink i
 FOLDS = 5
 WORTH, CLEAR = 0.15, 3.0
 ALSO = 0.8  # of the gain of the best: rivals of another kind that gain so much explain it as well
-BESIDE = ("memory", "turn")  # kinds that leave the map affine: A and b are fitted beside them
+FITTED_ALONGSIDE = ("memory", "turn")  # kinds that leave the map affine: A and b are fitted beside them
 WRONG = 5.0  # standard deviations beyond which a held command is no measurement, whoever predicts it
 SPARE = 4  # held commands for each coefficient that a rival must have
 
@@ -78,7 +78,7 @@ def departures(held: HeldOut, home: Floats, unit: str) -> list[Departure]:
     found: list[tuple[float, float, float, str, str, Floats]] = []
     if base is None:
         return []
-    for kind, what, columns in _rivals(held, away):
+    for kind, what, columns in _alternatives(held, away):
         design = np.column_stack([plain, columns])
         if (
             held.observed.sum(axis=0).min() < SPARE * design.shape[1]
@@ -100,11 +100,11 @@ def departures(held: HeldOut, home: Floats, unit: str) -> list[Departure]:
     for better, before, after, kind, what, design in found:
         if kind not in best and better > ALSO * found[0][0]:
             size = float(np.sqrt(np.mean(scatter**2)))
-            best[kind] = _told(kind, what, better, size * before, size * after, design, held, away, unit)
+            best[kind] = _departure(kind, what, better, size * before, size * after, design, held, away, unit)
     return list(best.values())
 
 
-def _rivals(held: HeldOut, away: Floats) -> Iterator[tuple[str, str, Floats]]:
+def _alternatives(held: HeldOut, away: Floats) -> Iterator[tuple[str, str, Floats]]:
     """Yield kind, words and columns (n, m) of each rival."""
     channels = away.shape[1]
     pairs = [(i, j) for i in range(channels) for j in range(i, channels)]
@@ -152,7 +152,7 @@ def _distances(design: Floats, held: HeldOut, parts: list[Mask], scatter: Floats
     return np.asarray(np.sqrt(squares / np.maximum(held.observed.sum(axis=1), 1)))
 
 
-def _told(
+def _departure(
     kind: str,
     what: str,
     better: float,

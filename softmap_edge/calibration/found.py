@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from softmap_edge.calibration.departures import BESIDE, Departure
+from softmap_edge.calibration.departures import FITTED_ALONGSIDE, Departure
 from softmap_edge.calibration.held_out import HeldOut
 from softmap_edge.files.atomic import Document
 from softmap_edge.model.servo_calibration import Calibration
@@ -38,7 +38,7 @@ class Calibrated:
     @property
     def affine(self) -> bool:
         """Whether nothing speaks against an affine map; a memory and a turn are fitted beside it."""
-        return all(one.kind in BESIDE for one in self.departures)
+        return all(one.kind in FITTED_ALONGSIDE for one in self.departures)
 
     @property
     def left(self) -> Floats:

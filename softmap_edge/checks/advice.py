@@ -38,7 +38,7 @@ MINORITY = 0.1  # of the frames reached from the rarer side
 TOGETHER = 0.95  # correlation from which two channels are one
 PAIRS = 4  # of such channels that are named
 DWELL_FRAMES = LONG_DWELL + 2  # in three dwells they tell the noise (`noise.ENOUGH`)
-BESIDE = 0.02  # of their length: markers nearer to one line than this show no twist
+COLLINEAR = 0.02  # of their length: markers nearer to one line than this show no twist
 
 
 @dataclass(frozen=True)
@@ -210,12 +210,12 @@ def _points(run: Run) -> Iterator[Advice]:
         return
     rest = run.marker_rest
     if rest is None:
-        whole = np.flatnonzero(known(run, seen).all(axis=1))
-        if not len(whole):
+        complete = np.flatnonzero(known(run, seen).all(axis=1))
+        if not len(complete):
             return
-        rest = seen[whole[0]]
+        rest = seen[complete[0]]
     size = np.linalg.svd(rest - rest.mean(axis=0), compute_uv=False)
-    if len(size) < 2 or size[1] < BESIDE * size[0]:
+    if len(size) < 2 or size[1] < COLLINEAR * size[0]:
         text = "a twist, and turns of the base about the robot's axis: the markers lie on one line"
         yield Advice("markers", False, text, "glue a marker or two next to the line, 10 mm or more", None)
 

@@ -126,10 +126,10 @@ def sentences(document: Document) -> list[str]:
         lines.append(f"          and {d['base_markers']} markers on the base (`softmap run align --base b0 b1 …`)")
     visits = d["home_visits"] if d.get("home_known", True) else "not known"
     lines.append(f"repeats   visits of home: {visits}, other places visited again: {d['places_revisited']}")
-    told = [f"gravity {d['gravity']}"] if d["gravity"] else []
-    told += [f"{name} {_span(d[key])} {u}" for name, key, u in _TOLD if d[key] is not None]
-    told += ["encoder positions"] if d["encoders"] else []
-    lines.append(f"declared  {', '.join(told) or 'nothing'}")
+    declared = [f"gravity {d['gravity']}"] if d["gravity"] else []
+    declared += [f"{name} {_span(d[key])} {u}" for name, key, u in _DECLARED if d[key] is not None]
+    declared += ["encoder positions"] if d["encoders"] else []
+    lines.append(f"declared  {', '.join(declared) or 'nothing'}")
     if d["blocks"]:
         lines.append(f"blocks    {len(d['blocks'])}: {', '.join(d['blocks'][:8])}{' …' * (len(d['blocks']) > 8)}")
     if d["unknown_fields"]:
@@ -146,7 +146,7 @@ def _hung(name: str, text: str) -> list[str]:
     return folded(f"{name:<10}{text}", 0, 10)
 
 
-_TOLD = (("load", "load_g", "g"), ("temperature", "temperature_c", "°C"))
+_DECLARED = (("load", "load_g", "g"), ("temperature", "temperature_c", "°C"))
 
 
 def _span(pair: list[float]) -> str:

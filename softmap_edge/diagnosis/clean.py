@@ -144,8 +144,8 @@ def clean_record(
     record = record_of(model, [p.run for p in parts], [clean_run(model, one).run for one in several] or None)
     record.recorded_runs = tuple(without_lost(one)[0] for one in given)
     record.doubts = tuple(dict.fromkeys(text for p in parts for text in p.doubts))
-    told = [(f"run {i}: " if len(parts) > 1 else "") + text for i, p in enumerate(parts, 1) for text in p.remarks]
-    return record, told
+    messages = [(f"run {i}: " if len(parts) > 1 else "") + text for i, p in enumerate(parts, 1) for text in p.remarks]
+    return record, messages
 
 
 def commands_not_followed(record: Record, predicted: Floats) -> str | None:
@@ -192,11 +192,11 @@ def _sigma(run: Run) -> list[str]:
     if run.sigma is None:
         return []
     found = noise_of_points(run)
-    said = float(np.sqrt(3.0) * np.median(run.sigma))
-    if found is None or 1 / WRONG_SIGMA < said / max(found.mm, 1e-9) < WRONG_SIGMA:
+    stated = float(np.sqrt(3.0) * np.median(run.sigma))
+    if found is None or 1 / WRONG_SIGMA < stated / max(found.mm, 1e-9) < WRONG_SIGMA:
         return []
     return [
-        f"`sigma` declares {said:.2g} mm a point, the repeats show {found.mm:.2g} mm ({found.source}); the noise is "
+        f"`sigma` declares {stated:.2g} mm a point, the repeats show {found.mm:.2g} mm ({found.source}); the noise is "
         "taken from the repeats"
     ]
 
@@ -270,10 +270,10 @@ def _unsteady(run: Run, u: Floats, seen: Floats, visible: Mask) -> tuple[Mask, s
     dwells, scatter = [], []
     for visit in np.unique(state.visit[~state.moving]):
         rows = np.flatnonzero((state.visit == visit) & ~state.moving & visible.any(axis=1))
-        whole = visible[rows].all(axis=0)
-        if visit < 0 or len(rows) < LEAST_DWELL or not whole.any():
+        always_seen = visible[rows].all(axis=0)
+        if visit < 0 or len(rows) < LEAST_DWELL or not always_seen.any():
             continue
-        left, order = undrifted(seen[np.ix_(rows, np.flatnonzero(whole))].reshape(len(rows), -1))
+        left, order = undrifted(seen[np.ix_(rows, np.flatnonzero(always_seen))].reshape(len(rows), -1))
         dwells.append(rows)
         scatter.append(float(np.sqrt(3.0 * np.sum(left**2) / ((len(rows) - order) * left.shape[1]))))
     if len(dwells) < DWELLS:
@@ -401,6 +401,6 @@ def _astray(seen: Floats, visible: Mask, predicted: Floats, length: float) -> Ma
             continue
         near = np.linalg.norm(predicted[k] - predicted[k, n], axis=1)
         near[n], near[~visible[k]] = np.inf, np.inf
-        beside = int(np.argmin(near))  # a body that really bends takes the points beside along
-        alone[k, n] = bool(np.linalg.norm(off[k, n] - off[k, beside]) > 0.5 * far[k, n])
+        neighbour = int(np.argmin(near))  # a body that really bends takes the points beside along
+        alone[k, n] = bool(np.linalg.norm(off[k, n] - off[k, neighbour]) > 0.5 * far[k, n])
     return np.asarray(alone)

@@ -229,9 +229,9 @@ def _read(at: Floats, t: Floats, values: Floats) -> Floats:
     with np.errstate(invalid="ignore"):
         lower = np.where(share < 1.0, (1.0 - share) * values[before], 0.0)
         upper = np.where(share > 0.0, share * values[after], 0.0)
-    told = (share >= 0.0) & (share <= 1.0)
-    told &= (gap <= GAPS * np.median(np.diff(t)))[:, None] | (share == 0.0) | (share == 1.0)
-    return np.where(told, lower + upper, np.nan)
+    known = (share >= 0.0) & (share <= 1.0)
+    known &= (gap <= GAPS * np.median(np.diff(t)))[:, None] | (share == 0.0) | (share == 1.0)
+    return np.where(known, lower + upper, np.nan)
 
 
 def _form_left(record: Record, reference: Record, missed: Floats) -> Floats:

@@ -162,9 +162,9 @@ class Record:
         """Loads (n,) g that are declared."""
         return None if self.run.load is None else np.atleast_1d(np.asarray(self.run.load, float))
 
-    def missing(self, wanted: Sequence[str]) -> list[str]:
+    def missing(self, required: Sequence[str]) -> list[str]:
         """Return which of the fields that an effect needs are not declared."""
-        return [name for name in wanted if getattr(self.run, name, None) is None]
+        return [name for name in required if getattr(self.run, name, None) is None]
 
     # --- predictions ----------------------------------------------------------------------------
 

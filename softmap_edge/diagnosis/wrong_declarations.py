@@ -86,10 +86,10 @@ def wrong_load(record: Record, error: float, again: Callable[[Sequence[Run]], fl
     if record.replay is not None or not any(run.load is not None and np.any(run.load) for run in runs):
         return None
     thin = [_thin(run) for run in runs]
-    whole, bare = (record_of(record.model, those) for those in (thin, [_loaded(r, 0.0) for r in thin]))
+    loaded, bare = (record_of(record.model, those) for those in (thin, [_loaded(r, 0.0) for r in thin]))
     off, shift = (
-        np.nan_to_num(whole.seen - declared.predict(record.model.chain_names, declared.own()[None])[0])
-        for declared in (whole, bare)
+        np.nan_to_num(loaded.seen - declared.predict(record.model.chain_names, declared.own()[None])[0])
+        for declared in (loaded, bare)
     )
     does = shift - off  # of all that is declared
     share = float(np.sum(shift * does)) / max(float(np.sum(does**2)), 1e-12)

@@ -82,18 +82,18 @@ class Outcomes:
         self.names = [n for n in named if not model.missing_for(n)]
         self.params: dict[tuple[str, ...], dict[str, float]] = {}
         if runs:
-            whole = record_of(model, runs, self.references or None)
-            problem = problem_of(whole, [n for n in self.names if self.declared(n)])
+            combined = record_of(model, runs, self.references or None)
+            problem = problem_of(combined, [n for n in self.names if self.declared(n)])
             fitted = Fits(problem, [n for n in self.names if self.declared(n)])
             fits = {key: fitted.get(key) for key in sets}
             self.noise, self.dispersion = problem.noise, fitted.dispersion(fits[self.found])
             self.params |= {key: fit.params for key, fit in fits.items()}
         else:
             self.noise, self.dispersion = _declared_noise(model, diagnosis), 1.0
-            told: dict[str, float] = {}
+            found_params: dict[str, float] = {}
             for name in self.found:
-                told |= diagnosis.params_of(name)
-            self.params |= {key: self._middle(key) | told for key in sets}
+                found_params |= diagnosis.params_of(name)
+            self.params |= {key: self._middle(key) | found_params for key in sets}
 
     def blocks(self, limits: Limits) -> list[Block]:
         """Return the blocks that the robot can do and that could matter."""
@@ -311,9 +311,13 @@ def _check(model: Model, diagnosis: Diagnosis, runs: Sequence[Run], known: Regis
             f"the diagnosis is of a model with {', '.join(map(str, own)) or 'no effects'}, this one has "
             f"{', '.join(model.chain_names) or 'none'}; give the bundle that was diagnosed"
         )
-    told = made.get("run")
+    recorded = made.get("run")
     hashes = [run.hash() for run in runs]
-    if runs and told is not None and sorted(hashes) != sorted(told if isinstance(told, list) else [told]):
+    if (
+        runs
+        and recorded is not None
+        and sorted(hashes) != sorted(recorded if isinstance(recorded, list) else [recorded])
+    ):
         raise SoftmapError(
             f"the diagnosis was made from other runs than the {len(runs)} given; give those, or diagnose these again"
         )
@@ -326,19 +330,19 @@ def _check(model: Model, diagnosis: Diagnosis, runs: Sequence[Run], known: Regis
         raise SoftmapError(f"the diagnosis names '{unknown[0]}', which this library lacks; diagnose again")
 
 
-def _check_references(told: object, runs: bool, given: list[str]) -> None:
+def _check_references(recorded: object, runs: bool, given: list[str]) -> None:
     """Refuse other references than those that a diagnosis is relative to; those of its held-out run may come along."""
-    if told is None and given:
+    if recorded is None and given:
         raise SoftmapError("the diagnosis is not relative to a reference run; leave --reference out")
-    hashes = told.get("run") if isinstance(told, Mapping) else None
-    wanted = hashes if isinstance(hashes, list) else [hashes]
-    if told is None or not (runs or given):
+    hashes = recorded.get("run") if isinstance(recorded, Mapping) else None
+    needed = hashes if isinstance(hashes, list) else [hashes]
+    if recorded is None or not (runs or given):
         return
     if not given:
         raise SoftmapError("the diagnosis is relative to a reference run; give that run too, with --reference")
-    if not {str(h) for h in wanted} <= set(given):
+    if not {str(h) for h in needed} <= set(given):
         raise SoftmapError(
-            f"the diagnosis is relative to {len(wanted)} other reference run(s) than the {len(given)} given; give those"
+            f"the diagnosis is relative to {len(needed)} other reference run(s) than the {len(given)} given; give those"
         )
 
 

@@ -178,8 +178,8 @@ def _shapes(numbers: Mapping[str, Floats]) -> None:
         for axis, length in zip(_NUMBERS[name], value.shape):
             known, by = sizes.setdefault(axis, (length, name))
             if known != length:
-                said = f" as in `{by}`" if by else ": x, y, z"
-                raise SweepError(f"`{name}` has shape {value.shape}, its axis {axis} should be {known}{said}")
+                hint = f" as in `{by}`" if by else ": x, y, z"
+                raise SweepError(f"`{name}` has shape {value.shape}, its axis {axis} should be {known}{hint}")
     rows, points, channels = sizes["S"][0], sizes["N"][0], sizes["C"][0]
     if channels == 0:
         raise SweepError("`command` has no columns (C = 0); a sweep moves at least one tendon")

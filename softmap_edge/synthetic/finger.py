@@ -131,8 +131,8 @@ class Truth:
         u = self.to_body(protocol)
         points = np.empty((protocol.frames, *template(self.finger).shape))
         for frames, gravity, force in self._weights(protocol):
-            wanted = frames[frames % every == 0]
-            points[wanted] = body(self.finger, self.modulus, gravity, force, u[wanted])
+            chosen = frames[frames % every == 0]
+            points[chosen] = body(self.finger, self.modulus, gravity, force, u[chosen])
         points = points[::every]
         for effect in self.hidden:
             points = effect.law.seen(points)

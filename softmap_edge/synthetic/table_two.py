@@ -74,8 +74,8 @@ class Row:
         published = PUBLISHED_ERRORS.get((self.figure, self.model))
         if published is None:
             return found | {"paper": None}
-        told = (dict(zip(("mean", "sd", "max"), of)) for of in published)
-        return found | {"paper": dict(zip(("simulation_mm", "hardware_mm"), told)) | {"on": "other data"}}
+        figures = (dict(zip(("mean", "sd", "max"), of)) for of in published)
+        return found | {"paper": dict(zip(("simulation_mm", "hardware_mm"), figures)) | {"on": "other data"}}
 
 
 @dataclass(frozen=True)
@@ -145,7 +145,7 @@ def table_two(
         kinematics = Kinematics(replace(one.model, calibration=one.calibration), gravity=one.gravity, axes=PLANE)
         planned = course(
             kinematics, figure, amplitude=amplitude, duration=duration, rate=rate, slew=[SLEW] * 2,
-            acceleration=[ACCELERATION] * 2, calibration=one.calibration or _told(), method=method,
+            acceleration=[ACCELERATION] * 2, calibration=one.calibration or _servo_map(), method=method,
         )  # fmt: skip
         plan = planned.plan
         seen = np.flatnonzero(np.append(True, planned.counts[1:]))  # at rest, then the figure
@@ -158,7 +158,7 @@ def table_two(
     return rows
 
 
-def _told() -> Calibration:
+def _servo_map() -> Calibration:
     """Return the servos' own map, where the commands of a model are taken as they are."""
     return Calibration.stated(PUBLISHED.slope, PUBLISHED.shift, PUBLISHED.home, "the servos' own map")
 
@@ -176,16 +176,16 @@ def _stand_in(
 
 def _off(planned: Course, tip: Floats, seen: NDArray[np.int64]) -> Floats:
     """Return how far (T,) mm a tip (1 + T, 3), at rest and at waypoints, is from its figure about where it rested."""
-    wanted = planned.plan.targets[seen] - planned.plan.targets[0]
+    target = planned.plan.targets[seen] - planned.plan.targets[0]
     counts = [axis in PLANE for axis in AXES]
-    return np.asarray(np.linalg.norm(((tip - tip[0]) - wanted)[1:, counts], axis=1))
+    return np.asarray(np.linalg.norm(((tip - tip[0]) - target)[1:, counts], axis=1))
 
 
 def text_of(document: Document) -> str:
     """Return the table as text, the paper's columns beside ours."""
 
-    def numbers(told: Document | None) -> str:
-        return "–" if told is None else "{mean:.2f} ± {sd:.2f}, {max:.2f}".format(**told)
+    def numbers(document: Document | None) -> str:
+        return "–" if document is None else "{mean:.2f} ± {sd:.2f}, {max:.2f}".format(**document)
 
     head = ("", "", "the model itself", "simulator", "stand-in", "paper: simulation", "paper: hardware")
     lines = [head]
@@ -196,9 +196,9 @@ def text_of(document: Document) -> str:
         name = document["rival"] or RIVAL if row["model"] == RIVAL else row["model"]
         lines.append((row["figure"], name, *map(numbers, columns)))
     widths = [max(len(line[k]) for line in lines) for k in range(len(head))]
-    told = ["  ".join(cell.ljust(width) for cell, width in zip(line, widths)).rstrip() for line in lines]
+    text = ["  ".join(cell.ljust(width) for cell, width in zip(line, widths)).rstrip() for line in lines]
     effects = ", ".join(document["effects"]) or "none"
-    told += [
+    text += [
         f"mm in the plane: mean ± standard deviation, largest, at {document['waypoints']} waypoints a letter, "
         f"half a side {document['amplitude_mm']:g} mm; solved by method '{document['method']}'; "
         f"effects of the bundle: {effects}.",
@@ -207,5 +207,5 @@ def text_of(document: Document) -> str:
     ]
     far = max(row["unreachable_mm"] for row in document["rows"])
     if far > 0.01:
-        told.append(f"Some waypoints are out of reach of a model, or missed by that method, by up to {far:.2f} mm.")
-    return "\n".join(told)
+        text.append(f"Some waypoints are out of reach of a model, or missed by that method, by up to {far:.2f} mm.")
+    return "\n".join(text)

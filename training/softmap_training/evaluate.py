@@ -64,7 +64,7 @@ class Row:
 
     name: str
     errors: dict[str, Floats]
-    told: dict[str, Any] = field(default_factory=dict)
+    details: dict[str, Any] = field(default_factory=dict)
     shapes: Floats = field(default_factory=lambda: np.zeros((0, 0, 3)), repr=False)
     triangles: Triangles = field(default_factory=lambda: np.zeros((0, 3), np.int32), repr=False)
     seen: Sequence[Floats] = field(default=(), repr=False)
@@ -79,15 +79,15 @@ class Row:
                            "worst": float(np.nanmax(e[0])), "worst_frame": int(np.nanargmax(e[0]))}
             for name, e in self.errors.items()
         }  # fmt: skip
-        return {"name": self.name, "seeds": len(next(iter(self.errors.values()))), **found, **self.told}
+        return {"name": self.name, "seeds": len(next(iter(self.errors.values()))), **found, **self.details}
 
     @classmethod
     def of_seeds(cls, rows: Sequence[Row]) -> Row:
         """Return rows that differ by their seed as one: their errors beside each other, of times the mean."""
         errors = {name: np.concatenate([row.errors[name] for row in rows]) for name in rows[0].errors}
-        told = dict(rows[0].told)
-        told |= {key: float(np.mean([row.told[key] for row in rows])) for key in TIMES if key in told}
-        return replace(rows[0], errors=errors, told=told)
+        details = dict(rows[0].details)
+        details |= {key: float(np.mean([row.details[key] for row in rows])) for key in TIMES if key in details}
+        return replace(rows[0], errors=errors, details=details)
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,9 +112,9 @@ class Recording:
         Raises:
             TrainingError: the truth is of other frames or vertices.
         """
-        wanted = (run.frames, *model.rest.shape)
-        if truth is not None and truth.shape != wanted:
-            raise TrainingError(f"a truth of shape {truth.shape} for {wanted} predicted; give that of this run")
+        shape = (run.frames, *model.rest.shape)
+        if truth is not None and truth.shape != shape:
+            raise TrainingError(f"a truth of shape {truth.shape} for {shape} predicted; give that of this run")
         base = model.with_residual(None)
         run, stood = in_base(run, base)
         remarks = [] if stood is None else [base_stood_off(stood.pose)]
@@ -125,13 +125,18 @@ class Recording:
         """Which vertices (K, N) the clouds show: 0 or 1."""
         return np.asarray(self.laid.visible, np.float64)
 
-    def judge(self, name: str, model: Model, told: Mapping[str, Any] | None = None) -> Row:
+    def evaluate(self, name: str, model: Model, details: Mapping[str, Any] | None = None) -> Row:
         """Judge a model."""
         shapes = np.asarray(model.predict(self.run))
-        return self.judge_shapes(name, shapes, model.triangles, told, body=not is_decoder(model))
+        return self.evaluate_shapes(name, shapes, model.triangles, details, body=not is_decoder(model))
 
-    def judge_shapes(
-        self, name: str, shapes: Floats, triangles: Triangles, told: Mapping[str, Any] | None = None, body: bool = True
+    def evaluate_shapes(
+        self,
+        name: str,
+        shapes: Floats,
+        triangles: Triangles,
+        details: Mapping[str, Any] | None = None,
+        body: bool = True,
     ) -> Row:
         """Judge shapes (K, N, 3) mm and their surface; those of no `body` have points that are no vertices."""
         found = {
@@ -146,7 +151,7 @@ class Recording:
         if self.truth is not None and body:
             found["vertex"] = list(np.linalg.norm(shapes - self.truth, axis=2).mean(axis=1))
         errors = {error: np.array([found[error]]) for error in ERRORS if error in found}
-        return Row(name, errors, dict(told or {}), shapes, triangles, self.clouds)
+        return Row(name, errors, dict(details or {}), shapes, triangles, self.clouds)
 
 
 def on_shapes(
@@ -154,7 +159,7 @@ def on_shapes(
     predict: Callable[[Floats], Floats],
     commands: Floats,
     points: Floats,
-    told: Mapping[str, Any],
+    details: Mapping[str, Any],
     triangles: Triangles | None = None,
 ) -> Row:
     """Judge a model on simulated shapes that taught it nothing.
@@ -172,12 +177,12 @@ def on_shapes(
         "chamfer": np.array([[_chamfer(p, q) for p, q in zip(found, true)]]),
         "vertex": np.linalg.norm(found - true, axis=2).mean(axis=1)[None],
     }
-    took = {"milliseconds": milliseconds(predict, commands), "paper": _paper(told.get("what"))}
+    took = {"milliseconds": milliseconds(predict, commands), "paper": _paper(details.get("what"))}
     surface = np.zeros((0, 3), np.int32) if triangles is None else triangles
-    return Row(name, errors, {**told, **took}, found, surface, list(true))
+    return Row(name, errors, {**details, **took}, found, surface, list(true))
 
 
-def told_these(model: Model, u: Floats) -> bool:
+def holds_shapes_of(model: Model, u: Floats) -> bool:
     """Return whether a model is a table whose own nodes all these commands (n, C) are: it was told their shapes.
 
     One that was learned has the nodes, but was taught by the training part alone.

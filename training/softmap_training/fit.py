@@ -107,8 +107,8 @@ def fit(
             for name in COLUMNS[1:4]:
                 writer.add_scalar(name, state.log[-1][name], epoch)
         if progress is not None:
-            said = f"epoch {epoch + 1}: {value:.3f} mm held out (best {state.best:.3f})"
-            progress((epoch + 1) / (until or recipe.epochs), said)
+            line = f"epoch {epoch + 1}: {value:.3f} mm held out (best {state.best:.3f})"
+            progress((epoch + 1) / (until or recipe.epochs), line)
     if writer is not None:
         writer.close()
     network.load_state_dict(state.weights)

@@ -98,10 +98,10 @@ class Store:
             raise SimulationError(f"{self.path}: chunk {chunk} holds numbers that are not finite, or is gone; {REMEDY}")
         return found
 
-    def check_same(self, wanted: dict[str, Any]) -> None:
+    def check_same(self, required: dict[str, Any]) -> None:
         """Raise SimulationError where the store is of something else than `attributes_of` says is wanted."""
         for name in ("finger", "mesh_sha256", "gravity", "tip_force", "axes", "chunk"):
-            there, here = self.attributes[name], wanted[name]
+            there, here = self.attributes[name], required[name]
             if there != here:
                 raise SimulationError(
                     f"{self.path}: a sweep stands there with {_difference(name, there, here)}; give another name, or "
