@@ -1,11 +1,11 @@
 """Adapt a model to recordings: physics first, a residual on what physics leaves.
 
     clouds ─registration─> vertices     ticks ─calibration─> commands
-    diagnose ─> add what is missing ─> learn a residual of the rest ─> judge, each alone and both together
+    diagnose ─> add what is missing ─> learn a residual of the rest ─> validate, each alone and both together
 
 A residual is a function of the command alone. What depends on how a command was reached it cannot learn, and what it
 can stands in for physics only under the conditions of its runs; so it comes last, and stays only where it surely lowers
-the error on blocks that were left out. Rivals of what is added are told: on these runs they would do as well.
+the error on blocks that were left out. Alternatives to what is added are reported: they fit these runs as well.
 Calibration is fitted without the effects, so that gain, offset or coupling found after it may be a correction of it.
 Units: mm. Pinned by tests/adaptation/test_adaptation.py.
 """
@@ -39,11 +39,11 @@ SURE = 2.0  # standard errors by which a residual lowers the error on left-out b
 
 @dataclass(frozen=True, eq=False)
 class Adaptation:
-    """What an adaptation found: the new `model`, and what each step said.
+    """What an adaptation found: the new `model`, and the report of each step.
 
     `before` is the model that was adapted, with its calibration; `error` holds RMS distances in mm of the four WAYS
-    on what taught none of them, None where one was not tried; `fall` by which share the error fell. `judge` is what
-    it was measured on, `runs` what taught; clouds are vertices there. Prints itself; `to_dict()` is
+    on what taught none of them, None where one was not tried; `fall` by which share the error fell. `validation` is
+    what it was measured on, `runs` what taught; clouds are vertices there. Prints itself; `to_dict()` is
     softmap.adaptation/1.
     """
 
@@ -127,15 +127,15 @@ def adapt(
     """Calibrate a model, add the physics that it lacks, and learn a residual of the rest.
 
     Args:
-        model: an earlier residual is learned anew; effects that it has stay.
+        model: an earlier residual is learned again; effects that it has stay.
         run: one recording or several of the robot, of vertices, clouds or the model's markers. Ticks are calibrated
             with the first run that holds enough commands for it, unless the model knows them already.
         held_out: a recording for validation only, not for learning ways; without it blocks of the runs are held out.
         physics: look for missing effects; without, the residual stands in for them.
-        told: hears what goes on, a line each.
+        progress: called with one line per step.
 
     Returns:
-        Adaptation: the new model, what each step said, and the error of each way.
+        Adaptation: the new model, the report of each step, and the error of each way.
 
     Raises:
         SoftmapError: the measurement is at fault, too few frames, or runs of another robot.
@@ -169,7 +169,7 @@ def adapt(
 
 
 def _rest(model: Model, runs: Sequence[Run], spare: bool) -> tuple[Model | None, Document]:
-    """Return the model with a residual and what is told of it; None and why where runs teach none, if it is spare."""
+    """Return the model with a residual and its report; None and why where runs teach none, if it is spare."""
     try:
         return learn_residual(model, runs)
     except SoftmapError as fault:
@@ -190,7 +190,7 @@ def _shown(model: Model, run: Run, say: Callable[[str], None]) -> Run:
 
 
 def _calibrated(model: Model, runs: Sequence[Run], say: Callable[[str], None]) -> tuple[Model, Calibrated | None]:
-    """Return the model with a calibration where runs have ticks and it has none yet, from the first run that tells."""
+    """Return the model, calibrated with the first run that is enough if runs have ticks and it has none."""
     ticks = [run for run in runs if run.ticks is not None or run.present_ticks is not None]
     if model.calibration is not None or not any(run.command is None for run in ticks):
         return model, None

@@ -127,11 +127,11 @@ def base_motion(run: Run, points: Floats, known: Mask, target: Floats, far: Floa
 
 
 def find_motion(poses: Floats, noise: Floats, t: Floats, points: Floats, what: str) -> Moved | None:
-    """Tell whether groups of frames are displaced against each other.
+    """Report whether groups of frames are displaced against each other.
 
     Args:
         poses: (G, 6) small turns (rad) and shifts (mm). noise: (6, 6) covariance of one. t: (G, 2) s, first and last
-            frame of each. points: (N, 3) mm, whose farthest displacement is told. what: "the base" or "home".
+            frame of each. points: (N, 3) mm, whose farthest displacement is reported. what: "the base" or "home".
     """
     known = np.flatnonzero(np.isfinite(poses).all(axis=1))
     if len(known) < 2:
@@ -164,7 +164,7 @@ def find_motion(poses: Floats, noise: Floats, t: Floats, points: Floats, what: s
 def follow(points: Floats, known: Mask, target: Floats, noise_mm: float, pose: RigidPose) -> tuple[RigidPose, str]:
     """Return a pose for each frame, and a sentence on the noise that they add.
 
-    They are smoothed as far as the base's motion allows; frames that show too little take those beside them.
+    They are smoothed as far as the base's motion allows; frames that show too little take those of their neighbours.
 
     Args:
         points: (K, B, 3) mm, of the base. known: (K, B). target: (B, 3) mm, their places. noise_mm: of one frame.

@@ -3,8 +3,9 @@
 `robust` (default): from the shape of the model that is nearest to the cloud, as-rigid-as-possible about that shape,
 data from the cloud to the surface with weights that let outliers go (`rust/geometry/register.rs`). `paper`: the
 published objective, each vertex (of a model with handles, each of these) to its nearest point, from the shape at rest
-(`rust/geometry/paper.rs`). Base frame, mm. What a round finger does about its own axis no cloud tells: the roll of the
-vertices is that of the start. Pinned by tests/alignment/test_registration.py, tests/geometry/test_handles.py.
+(`rust/geometry/paper.rs`). Base frame, mm. Clouds do not show the roll of a round finger: the
+roll of the vertices is that of the start. Pinned by tests/alignment/test_registration.py,
+tests/geometry/test_handles.py.
 """
 
 from __future__ import annotations
@@ -49,7 +50,7 @@ class Registered:
     """A template laid onto K clouds: `vertices` (K, N, 3) mm, `support` (K, N), and a row of `frames` for each cloud.
 
     `support` is how many points of the cloud speak for a vertex, by their weights (the robust mode uses 2000 at most);
-    what has none was not seen and is where its neighbours want it. `mode` says how it was done, `warnings` what looks
+    what has none was not seen and is placed by its neighbours. `mode` names the method, `warnings` what looks
     wrong, frame by frame. Prints itself; `to_dict()` is softmap.registration/1.
     """
 
@@ -189,7 +190,7 @@ def _robust(core: _core.Registration, model: Model, run: Run | None, clouds: lis
 
 
 def _published(core: _core.Registration, model: Model, clouds: list[Floats]) -> list[Document]:
-    """Register clouds by the published objective; handles alone ask for points, and points speak for handles alone."""
+    """Register clouds by the published objective; only handles are matched to points, and points to handles."""
     handles = np.arange(len(model.rest)) if model.handles is None else model.handles
     strength, found = np.zeros(len(model.rest)), []
     strength[handles] = PAPER_STRENGTH
@@ -208,7 +209,7 @@ def _published(core: _core.Registration, model: Model, clouds: list[Floats]) -> 
 
 
 def _row(k: int, one: Document, mode: Mode) -> Document:
-    """Return what is told of one frame: numbers, and what looks wrong."""
+    """Return the report of one frame: numbers, and what looks wrong."""
     row: Document = {
         "frame": k,
         "residual_mm": float(one["residual_mm"]),

@@ -112,7 +112,7 @@ def in_frame(run: Run, pose: RigidPose, sigma: Floats, frames: RigidPose | None 
 
 
 def base_markers(run: Run) -> Floats:
-    """Return the markers on the base (K, B, 3) mm that an import keeps beside those of the robot; B = 0 without any.
+    """Return the markers on the base (K, B, 3) mm that an import keeps; B = 0 without any.
 
     Raises:
         AlignError: the field has another shape.

@@ -5,7 +5,7 @@
     shape: model and robot differ at home; the model's own error, as large as what is left there, correlated along it;
            of base points, what is left over the coordinates that the pose did not take (3 N − 6), each point for itself
 
-Units: mm and rad inside, degrees in what is told. Pinned by tests/alignment/test_align.py over many seeds.
+Units: mm and rad inside, degrees in reports. Pinned by tests/alignment/test_align.py over many seeds.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ def solve(
     motion: Callable[[RigidPose], Moved | None] | None = None,
     measured: bool = False,
 ) -> Alignment:
-    """Fit one pose to all groups and one to each; weigh what they tell.
+    """Fit one pose to all groups and one to each; weight them by their information.
 
     `motion` says whether the base moved; `measured`: the target points were measured one by one, as with a ruler.
     """
@@ -92,7 +92,7 @@ def solve(
 
 
 def _wander(groups: Groups, inlier: Mask, pose: RigidPose) -> Floats:
-    """Return how far each point (N,) is scattered between the groups, mm a coordinate, beside the rigid pose."""
+    """Return how far each point (N,) is scattered between the groups, mm a coordinate, apart from the rigid pose."""
     count = inlier.sum(axis=0)
     left = np.where(inlier[..., None], pose(groups.source) - groups.target, 0.0)
     mean = left.sum(axis=0) / np.maximum(count, 1)[:, None]

@@ -1,14 +1,14 @@
 """Calibrate: which command of the model the ticks of the servos are, from a run with ticks and shapes.
 
     frames ─nearest shape─> u* (`matching.py`) ─held commands─> rows (`held.py`) ─robust fit─> u = A (ticks − home) + b
-    (`affine.py`, to start) ─fit to the shapes─> A, b, and a turn about the base's axis beside them where it tells
+    (`affine.py`, to start) ─fit to the shapes─> A, b, and a turn about the base's axis with them where the data show it
     (`map_fit.py`); what is not affine about it (`departures.py`); the error on blocks that were left out
 
-Home is given (the ticks that the bench calls so), or the place that the run dwelt at most often, its rest; of several
-that where the model acts least. Another home changes b only. Ticks are those of the encoders where the model takes
-positions and the run has them, else those commanded. Left out: commands at the end of the model's range, what hangs
-slack, frames in motion where dwells are enough, rows that do not belong (Tukey). Units: ticks, mm. Limits: what is
-constant in all shapes (a wrong frame, a wrong length) bends A and b; look at what is left of the shapes. Pinned by
+Home is given (the ticks that the rig file declares), or the place that the run dwelt at most often, its rest; of
+several that where the model acts least. Another home changes b only. Ticks are those of the encoders where the model
+takes positions and the run has them, else those commanded. Left out: commands at the end of the model's range, what
+hangs slack, frames in motion where dwells are enough, rows that do not belong (Tukey). Units: ticks, mm. Limits: what
+is constant in all shapes (a wrong frame, a wrong length) bends A and b; look at what is left of the shapes. Pinned by
 tests/calibration/test_calibration.py.
 """
 
@@ -63,7 +63,7 @@ def calibrate(
 ) -> Calibrated:
     """Find what the ticks of a run are in commands of a model.
 
-    A base that clearly stands off the frame of a run of clouds is taken out first, and told.
+    If the base clearly is away from the frame of a run of clouds, the pose is removed first and reported.
 
     Args:
         model: of this robot, without effects: they come after the calibration.
@@ -79,7 +79,7 @@ def calibrate(
     """
     recorded, run = run, held_in_ticks(run)
     found, there = _calibrated(model, run, home, window, refine), run
-    for _ in range(BASE_ROUNDS if refine else 0):  # a base that stands off bends the map, which then hides some of it
+    for _ in range(BASE_ROUNDS if refine else 0):  # a displaced base bends the map, which then hides some of it
         there, off = in_base(there, found.model)
         if off is None:
             break
@@ -213,7 +213,7 @@ def _doubts(model: Model, run: Run, matches: Matches) -> list[str]:
 
 
 def _check_design(held: HeldOut, edge: int, frames: int) -> None:
-    """Refuse held commands that cannot tell A and b."""
+    """Refuse held commands that cannot determine A and b."""
     channels = held.ticks.shape[1] if len(held) else 1
     required = SPARE * (channels + 1)
     observed = held.observed.sum(axis=0) if len(held) else np.zeros(1, int)
@@ -254,7 +254,7 @@ def _design(ticks: Floats, home: Floats) -> Floats:
 
 
 def _fit(held: HeldOut, home: Floats, columns: Floats | None = None, use: Mask | slice = slice(None)) -> AffineFit:
-    """Fit A and b to the rows `use` of held commands; `columns` (n, m) are fitted beside them."""
+    """Fit A and b to the rows `use` of held commands; `columns` (n, m) are fitted with them."""
     design = _design(held.ticks, home)
     extended = design if columns is None else np.column_stack([design, columns])
     return fit(extended[use], held.u[use], held.covariance[use], held.observed[use]).first(design.shape[1])
@@ -265,7 +265,7 @@ def _held_out(
 ) -> dict[str, float]:
     """Return the RMS error on blocks that were left out: of a command, and of the shape that it gives, in mm.
 
-    Beside it what the `matched` commands (n, C) themselves leave of the same shapes, which no map falls below.
+    Also return what the `matched` commands (n, C) themselves leave of the same shapes, which no map falls below.
     """
     sound, at, first = found.weight > 0, np.full(held.u.shape, np.nan), _first(held)
     count = _design(held.ticks, home).shape[1] + (0 if columns is None else columns.shape[1])
@@ -314,7 +314,7 @@ def _blocks(run: Run, held: HeldOut) -> list[NDArray[np.bool_]]:
 
 
 def _unexplained(calibration: Calibration) -> list[str]:
-    """Say so where the map misses much that no rival explains: then its stated uncertainty is too small."""
+    """Say so where the map misses much that no alternative explains: then its stated uncertainty is too small."""
     error = calibration.held_out
     if error["shape_mm"] < UNEXPLAINED * error["matched_shape_mm"]:
         return []

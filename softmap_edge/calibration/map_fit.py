@@ -4,9 +4,9 @@
     var φ = [H⁻¹ (Σ_k s_k s_kᵀ) H⁻¹] n / (n − p)    of an M-estimator (Huber 1981, 7.6), s_k = the score of each row
 
 d_k is how far a held command is from the map, in mm of shape: what no command could follow does not count. A command
-that hangs slack hardly moves the shape; matched, it jumps over the whole slack for a little that the model lacks, and a
+that hangs slack hardly moves the shape; matched, it jumps over the full slack for a little that the model lacks, and a
 fit to matched commands follows. Here it weighs as much as it moves. φ is a turn of all shapes about the base's axis,
-found beside the map where that is asked: tendons that are routed elsewhere about the axis, or the roll of the frame.
+fitted with the map on request: tendons at other angles about the axis, or the roll of the frame.
 Units: mm, ticks, rad. Pinned by tests/calibration/test_calibration.py.
 """
 
@@ -33,7 +33,7 @@ Mask = NDArray[np.bool_]
 
 EACH, MOST = 3, 600  # frames of a held command, and of all of them, that are fitted to
 ROUNDS = 30
-EXACT = 1e-6  # mm: closer than this is no scatter to be judged by
+EXACT = 1e-6  # mm: a smaller scatter does not count
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,7 +5,7 @@
 
 The paper stops at j*: its answer is off by up to half a step of the grid, and by more between shapes that are alike.
 f is the prior of the model, with its residual if it has one, in the orientation of the run; loads are not in it.
-A cloud does not tell the roll of a round finger (`roll_seen` false): a turn of each section about the body is then left
+A cloud does not show the roll of a round finger (`roll_seen` false): a turn of each section about the body is then left
 out of the residuals and of the slopes. Units: mm, and the commands'. Pinned by tests/calibration/test_calibration.py.
 """
 
@@ -38,7 +38,7 @@ ROUNDS = 25  # of Levenberg-Marquardt
 SETTLED = 1e-5  # of the range of a command: smaller steps end it
 EDGE = 1e-3  # of the range: commands nearer to its end are cut off there
 STEP = 0.025  # of its range: a command that moves the shape over so much by less than MOVES of what is usual, on one
-MOVES = 0.2  # side or the other, is slack there: shapes do not tell it
+MOVES = 0.2  # side or the other, is slack there: shapes do not determine it
 USUAL = 200  # commands that say what is usual
 CHUNK = 4_000_000  # numbers of one difference: 32 MB
 LEAST_SEEN = 0.1  # share of the points that must be seen for a frame to be matched
@@ -51,7 +51,7 @@ class Matches:
     `covariance` (K, C, C) of each, from the noise and from what is left, section by section. `mae_mm` (K,) is the mean
     absolute error that is left, over the coordinates of the points seen. `edge` (K,) marks commands at the end of the
     model's range, beyond which the true one may lie. `observed` (K, C) says which commands move the shape there:
-    where both tendons of a pair hang slack, the command between them is a guess, with the variance of the whole range.
+    where both tendons of a pair hang slack, the command between them is a guess, with the variance of the full range.
     """
 
     command: Floats
@@ -142,7 +142,7 @@ def weighted(model: Model, run: Run) -> tuple[Floats, Floats]:
 
 
 def _slack(observed: Mask, low: Floats, high: Floats) -> Floats:
-    """Return the covariance (K, C, C) of commands that shapes do not tell: that of their whole range."""
+    """Return the covariance (K, C, C) of commands that shapes do not determine: that of their full range."""
     return np.asarray(np.einsum("kc,cd->kcd", ~observed * (high - low) ** 2 / 12.0, np.eye(len(low))))
 
 
@@ -249,7 +249,7 @@ def _inverse(bend: Floats) -> Floats:
 
 
 def _covariance(member: Floats, slopes: Floats, left: Floats, weight: Floats, known: bool) -> Floats:
-    """Return the covariance (k, C, C): of independent noise, or of what is left where whole sections are off together.
+    """Return the covariance (k, C, C): of independent noise, or of what is left where sections are off together.
 
     `known`: the weights are those of a known noise.
     """

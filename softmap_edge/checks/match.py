@@ -56,7 +56,7 @@ TIMES = 1000  # at which a shift of the clocks is tried
 HELD, END, LEAST_HELD = 0.05, 0.02, 4  # of the frames at extreme commands, and at one of them, that may be clipped
 STEP = 0.02  # of the range of a command over which slopes are taken
 GOES_ON = 0.05  # of the range, standard deviation, by which a clipped command goes on
-MORE = 1.2  # times the scatter while it is not held, beside what is linear in the command: else the model is that wrong
+MORE = 1.2  # times the scatter while it is not held, less what is linear in the command: else the model is that wrong
 SEEN = 0.3  # of what a step of the command usually moves, below which a frame says nothing about the command
 AS_FAST = 0.4  # of that variance that is left at most where a command goes on as fast as it came
 
@@ -243,7 +243,7 @@ def _opposite(model: Model, run: Run) -> Floats:
 
 
 def _at_the_clamp(model: Model, rest: Floats, seen: Floats, visible: Mask, predicted: Floats) -> None:
-    """Where the body is held nothing moves it: points that stand elsewhere there are in another frame of reference."""
+    """Where the body is held nothing moves it: points that stand at another place are in another frame of reference."""
     length = float(np.linalg.norm(model.rest, axis=1).max())
     there = visible & (np.linalg.norm(rest, axis=1) <= CLAMPED * length)
     frames = there.any(axis=1)

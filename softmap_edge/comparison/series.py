@@ -1,6 +1,6 @@
 """What the pictures of a report need of a run: errors over time, over the body, over commands, and some poses.
 
-Nothing is judged here; `comparison.py` has the figures. Units: mm, s. Pinned by tests/comparison/test_compare.py.
+Nothing is evaluated here; `comparison.py` has the figures. Units: mm, s. Pinned by tests/comparison/test_compare.py.
 """
 
 from __future__ import annotations

@@ -79,7 +79,7 @@ class ResidualConfounds:
 
 
 def masked(fits: Fits, fit: Fit) -> ResidualConfounds | None:
-    """Return what the residual that was taken out may hide beside the effects of a fit; None without a residual."""
+    """Return what the residual that was taken out may hide besides the effects of a fit; None without a residual."""
     record = fits.problem.record
     if record.static is None:
         return None

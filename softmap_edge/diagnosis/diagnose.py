@@ -222,7 +222,7 @@ def _relearned(model: Model, numbers: Mapping[str, Number]) -> Model:
 
 
 def showing(model: Model, run: Run) -> list[Document]:
-    """Say, before any fit, which effects would show in a run: how large each is at mid-range against the noise.
+    """Say, before any fit, which effects would show in a run: how large each is at typical strength against the noise.
 
     Returns:
         list: for each effect `{name, shows, moved_mm, deviations, why, alike, experiment, minutes}`: `deviations` is

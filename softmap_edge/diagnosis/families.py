@@ -349,7 +349,7 @@ class State:
         Args:
             body: the problem at level 1.
             fit: the laws that were found, fitted together.
-            beside: representatives of families without a law.
+            representatives: those of families without a law.
             background: families that explain ordinary imperfections, which are not named. Where the static map was
                 learned from data with memory, its families are always among them, because the memory has bent it.
         """

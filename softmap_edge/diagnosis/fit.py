@@ -221,7 +221,7 @@ class Problem:
         return self.record.forms(self._weights)
 
     def _projected(self) -> ProjectedFeatures | None:
-        """Return the modes of what is seen, found anew where that was exchanged; None where much is not seen."""
+        """Return the modes of what is seen, found again if that was exchanged; None where much is not seen."""
         seen = self.record.seen
         if self._seen is None or self._seen[0] is not seen:
             complete = np.asarray(np.isfinite(seen).all(axis=1))

@@ -1,4 +1,4 @@
-"""What a fit gives of an effect: its numbers, those of the prior that were fitted along, and what it does elsewhere.
+"""What a fit gives of an effect: its numbers, those of the prior fitted with it, and its size at other commands.
 
 Units: those of the parameters, mm. Pinned by tests/diagnosis/test_diagnosis.py.
 """

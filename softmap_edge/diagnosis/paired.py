@@ -74,7 +74,7 @@ def pair(record: Record, references: Sequence[Record]) -> tuple[Replay, Floats, 
 
     Returns:
         tuple: how they meet; what the model misses on the reference at the run's frames (K, F) mm, NaN where the
-        reference does not tell; and the form error (V, 3) mm that is left of the model's own.
+        reference has no data; and the form error (V, 3) mm that is left of the model's own.
 
     Raises:
         SoftmapError: points of another kind or place, commands that differ, too little in common.

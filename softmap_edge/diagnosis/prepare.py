@@ -26,7 +26,7 @@ SIGNATURE_FRAMES = 150  # frames on which the span of the signatures is found
 
 
 def candidates_of(record: Record, requested: Sequence[str] | None) -> tuple[list[str], list[Untestable]]:
-    """Return all effects, or those `wanted`, that can be looked for in a run, and why the others cannot.
+    """Return all effects, or those `requested`, that can be looked for in a run, and why the others cannot.
 
     Raises:
         SoftmapError: an unknown effect, or none that is left.

@@ -1,7 +1,7 @@
 """The blocks of commands to choose an experiment from: what each moves, which one condition it changes, how it is made.
 
 A block starts and ends at home. It changes one condition at most (`changes`): the orientation, or the load at the tip,
-or the warmth, never two of them, because what then differs could not be told apart; and what it does in the changed
+or the warmth, never two of them, because the differences could not be separated; and what it does in the changed
 condition it does in the usual one too, so that a block alone holds both. `plan` puts blocks one after another.
 Units: s, mm (or the robot's own unit), g, °C. Moves are those of `run/protocol.py`, within the limits of a robot.
 Known limit: a warm-up is planned as a straight rise; a real one follows the thermometer. Pinned by

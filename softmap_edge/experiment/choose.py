@@ -1,16 +1,17 @@
 """Chooses the experiment that settles what a diagnosis left open: blocks are simulated before they are recorded.
 
-A question is a pair of rivals, or an effect that the runs could not show. With A true and B believed, a block is worth
+A question is a pair of alternatives, or an effect that the runs could not show. With A true and B believed, a block is
+worth
 
     separation = min over B's parameters of |C^(-1/2) (A - B)|² on old runs and block, less the same on the old runs,
 
 over the over-dispersion of the diagnosis: the chi² that would be left (T-optimality; Atkinson & Fedorov 1975). A has
-its fitted parameters, an effect that was not seen those of mid-range; C is the noise of the old runs and the model's
-form error, which is one function of the command over old runs and block: what only a changed condition shows counts.
-Of a pair the smaller of both directions holds. Effects that the library calls alike in one orientation (or under one
-load) are told apart by blocks that change it and by no others: what differs elsewhere is the form of the library's
-laws. Rivals are refitted in full, unseen effects against one linearised step. A block is worth, for each question that
-it settles, its separation a minute over that of the best block for this question. Blocks are first ranked by
+its fitted parameters, an effect that was not seen those of typical strength; C is the noise of the old runs and the
+model's form error, which is one function of the command over old runs and block: what only a changed condition shows
+counts. Of a pair the smaller of both directions holds. Effects that the library calls alike in one orientation (or
+under one load) are separated by blocks that change it and by no others: other differences are the form of the library's
+laws. Alternatives are refitted in full, unseen effects against one linearised step. A block is worth, for each question
+that it settles, its separation a minute over that of the best block for this question. Blocks are first ranked by
 questions between two families of effects: a law is only worth asking for once its family is known.
 Limits: old runs are thinned (`simulate.OLD` frames), which makes separations smaller, not larger; several blocks are
 taken to add nothing to each other. Pinned by tests/experiment/test_next_experiment.py.
@@ -36,7 +37,7 @@ if TYPE_CHECKING:
     from softmap_edge.model.model import Model
 
 SETTLED = DETECTABLE**2  # chi² from which a question counts as settled: five standard deviations
-UNSEEN = 0.25  # worth of an effect that was not seen, over that of a pair of rivals
+UNSEEN = 0.25  # worth of an effect that was not seen, over that of a pair of alternatives
 BUDGET = 6.0  # minutes of a command file, unless asked otherwise
 SCHEMA = "softmap.next/1"
 
@@ -67,7 +68,7 @@ class Experiment:
         }
 
     def settled(self) -> list[OpenQuestion]:
-        """Return the questions that it settles, rivals first."""
+        """Return the questions that it settles, alternatives first."""
         found = [(q, s) for q, s in self.answers if s >= SETTLED]
         return [q for q, _ in sorted(found, key=lambda pair: (pair[0].hidden is not None, -pair[1]))]
 
@@ -90,10 +91,11 @@ def next_experiment(
 
     Args:
         model: the model that was diagnosed.
-        diagnosis: what was found; its rivals and what was not testable are the questions.
-        runs: the runs that it was made from; without any, each block is judged for itself, with mid-range parameters.
+        diagnosis: what was found; its alternatives and what was not testable are the questions.
+        runs: the runs that it was made from; without any, each block is rated by itself, with parameters of typical
+            strength.
         limits: of the robot; three quarters of the model's range by default.
-        progress: hears the share that is done.
+        progress: called with the share that is done.
         references: the runs that the diagnosis is relative to, if it is; then a block counts as played in both states.
 
     Returns:

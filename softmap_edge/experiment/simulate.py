@@ -130,16 +130,16 @@ class Outcomes:
                 apart = apart if self._moved(question.hidden, new) >= VISIBLE_MM else 0.0
             elif new.missing(self.needs(question.hidden)):
                 apart = 0.0
-            else:  # the earlier runs will not tell: what the new one says by itself
+            else:  # the earlier runs do not show it: the new one by itself
                 apart = alone.left(question.hidden)
                 apart = apart if new.rms_mm(self._shift(question.hidden, new)) >= VISIBLE_MM else 0.0
             found.append((question, max(apart, 0.0) / self.dispersion))
         return found
 
-    # --- rivals, refitted in full ---------------------------------------------------------------
+    # --- alternatives, refitted in full ---------------------------------------------------------------
 
     def _resolvable(self, question: OpenQuestion, changes: str) -> bool:
-        """Whether a block that `changes` a condition can tell a pair apart, by what the library says of its members."""
+        """Whether a block that `changes` a condition can separate a pair, by the library's declarations."""
         mine = [e for e in question.one if e not in question.other]
         theirs = [e for e in question.other if e not in question.one]
         if len(mine) != 1 or len(theirs) != 1:
@@ -223,11 +223,11 @@ class Outcomes:
         return np.asarray(record.predict(layout.names, values[None])[0])
 
     def with_hidden(self, name: str) -> tuple[tuple[str, ...], dict[str, float]]:
-        """Return what was found, with one effect more at mid-range."""
+        """Return what was found, with one effect more at typical strength."""
         return (*self.found, name), self._middle((name,)) | self.params[self.found]
 
     def _middle(self, effects: Sequence[str]) -> dict[str, float]:
-        """Return parameters at mid-range: halfway from null to high, or the start where the scale is logarithmic."""
+        """Return parameters at typical strength: halfway from null to high, or the start on a log scale."""
         layout = self.bare.layout(tuple(effects))
         return dict(zip(layout.labels, map(float, layout.middle)))
 
@@ -243,7 +243,7 @@ class Outcomes:
 
 
 class _Linear:
-    """What an unseen effect leaves beside what was found, whose parameters take one linearised step."""
+    """What an unseen effect leaves on top of what was found, whose parameters take one linearised step."""
 
     def __init__(self, world: Outcomes, problem: Problem, parts: list[Record]) -> None:
         self.world, self.problem, self.parts = world, problem, parts
@@ -269,7 +269,7 @@ class _Linear:
         return problem.white(slopes)
 
     def left(self, name: str) -> float:
-        """Return the chi² that is left of an effect at mid-range."""
+        """Return the chi² that is left of an effect at typical strength."""
         shift = np.concatenate([self.world._shift(name, part) for part in self.parts])
         shift = np.where(np.isfinite(self.problem.record.seen), shift, np.nan)
         white = self.problem.white(self.problem.whitener.modes(shift) * self.problem.gain)

@@ -1,4 +1,4 @@
-"""The solid of a finger: a round tapered body, a plain block, or a mesh of tetrahedra made elsewhere.
+"""The solid of a finger: a round tapered body, a plain block, or an imported mesh of tetrahedra.
 
 Each knows its part of `finger.toml`, makes its cells in the compiled core, and names another mesh of the same solid.
 The base frame has its origin at the centre of the clamped base and z to the tip; what lies at z = 0 or below is held.
@@ -175,7 +175,7 @@ class Meshed:
         return replace(self, refine=self.refine + 1)
 
     def along(self, share: float) -> Meshed:
-        """Return the refined mesh: a mesh made elsewhere has no layers to choose."""
+        """Return the refined mesh: an imported mesh has no layers to choose."""
         return self.other_mesh()
 
     def to_toml(self) -> tuple[str, str]:

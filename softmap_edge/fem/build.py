@@ -1,7 +1,7 @@
 """Make a model from a finger: sweep, fields, compression to modes, and a measured form error.
 
 The form error is measured, not assumed: commands off the grid, solved on another mesh with the modulus
-10 % up and 10 % down, against the table; per feature and over the vertices. For a mesh made elsewhere the other mesh is
+10 % up and 10 % down, against the table; per feature and over the vertices. For an imported mesh the other mesh is
 the refined one, eight times the cells: it is solved at a few commands only, from the equilibria of the first, and its
 difference is added to that of the modulus in squares.
 """
@@ -37,7 +37,7 @@ FIELD_MODES = 40
 FIELD_PART = 3e-3  # of a field's size: to this its numbers are kept
 PULL_STEP = 1e-3  # N
 FIELD_STEPS = 11  # a field is smooth: a grid of 11 a channel,
-COARSE_FIELD_STEPS = 7  # of 7 where there are three, or where a mesh made elsewhere takes its time
+COARSE_FIELD_STEPS = 7  # of 7 where there are three, or where an imported mesh is slow
 SECOND_STEPS, COARSE_SECOND_STEPS = 7, 5  # the same of second derivatives, a tenth to a third of what loads do:
 SECOND_MODES, SECOND_PART = 8, 0.1  # fewer modes, and numbers to this part of their size
 FORM_COMMANDS = 24
@@ -172,7 +172,7 @@ def handles_of(finger: Finger, rest: Floats) -> NDArray[np.int64] | None:
             f"template.handles: {finger.handles}, the template has {len(rest)} vertices; give 1 to {len(rest)}, or "
             "leave [template] out for all"
         )
-    places = np.asarray(np.float32(rest), float)  # as a bundle keeps them, so that it can be told again
+    places = np.asarray(np.float32(rest), float)  # as a bundle keeps them, so that it can be reported again
     chosen: list[int] = []
     nearest = np.sum(places**2, axis=1)
     for _ in range(finger.handles):

@@ -9,8 +9,8 @@ f features (mm), m the six numbers of the frame (rad, mm; no prior), x = ln(valu
 stiffness, (value − start) over half the range for a length: the last term is the weak prior at the bounds' half range.
 s is the residual itself. Deviations come from the dwells (sandwich of the gradients of each, K/(K − P) for few): frames
 of one dwell are no independent evidence. A number whose deviation stays above half of its half range is not seen by the
-run: it keeps its start value and is said not to be identifiable. Of modulus and density only the ratio is seen unless a
-known load hangs on the finger, so density is never fitted. Units: mm, MPa, N/mm, g.
+run: it keeps its start value and is reported as not identifiable. Of modulus and density only the ratio is seen unless
+a known load hangs on the finger, so density is never fitted. Units: mm, MPa, N/mm, g.
 Known limit: what the finger lacks (play, creep, an unknown load) bends these numbers; diagnose with the fitted finger
 afterwards, and compare the error on the dwells that were kept out. Pinned by tests/fem/test_refit_finger.py.
 """
@@ -38,8 +38,8 @@ Floats = NDArray[np.float64]
 Progress = Callable[[str, float], None]
 
 SETTLED = 1.0  # s after the command stopped
-DWELLS, KEPT_OUT = 24, 12  # dwells that are fitted and that judge the fit, spread over commands and orientations
-FRAME_DWELLS = 3  # fewer shapes do not tell the frame from the finger
+DWELLS, KEPT_OUT = 24, 12  # dwells that are fitted and that validate the fit, spread over commands and orientations
+FRAME_DWELLS = 3  # fewer shapes do not separate the frame from the finger
 SANDWICH = 8  # fewer dwells do not show how they scatter: their deviations come from the size of what is left
 ITERATIONS = 6
 STEP = 0.08  # of x: a tenth of the usual range, far above the solver's tolerance
@@ -306,7 +306,7 @@ class _Bench:
 
     @property
     def frame_is_free(self) -> bool:
-        """Whether there are shapes enough to tell the camera's frame from the finger's own numbers."""
+        """Whether there are shapes enough to separate the camera's frame from the finger's own numbers."""
         return len(self.fitted) >= FRAME_DWELLS
 
     def rms(self, which: NDArray[np.intp], names: Sequence[str], x: Floats, mount: Floats) -> float | None:

@@ -321,7 +321,7 @@ def _stored(content: Mapping[str, NDArray[np.generic]], name: str, kinds: str) -
 
 
 def _drive(finger: Finger) -> Floats:
-    """Return what each tendon is told (mm or N) per unit of each command, (T, C)."""
+    """Return the command of each tendon (mm or N) per unit of each command, (T, C)."""
     drive = np.zeros((len(finger.tendons), len(finger.pairs)))
     for c, (pulled, *paid_out) in enumerate(finger.pairs):
         drive[pulled, c] = 1.0
@@ -351,7 +351,7 @@ def _shape(shape: tuple[int | None, ...]) -> str:
 
 @contextmanager
 def _core_faults() -> Iterator[None]:
-    """Tell what the core refuses as a fault of the simulation that was asked for."""
+    """Raise what the core refuses as a SimulationError."""
     try:
         yield
     except _core.CoreError as error:

@@ -37,7 +37,7 @@ class Tendon:
     """A tendon up to its anchor: by formula or by points.
 
     angle_deg: about z · route: (z, distance from the axis) pairs in mm; equal distances run straight, others tapered ·
-    turn_deg: by how much the angle turns evenly on the whole way, a helix · points: instead of these, guides
+    turn_deg: by how much the angle turns evenly along the full length, a helix · points: instead of these, guides
     (x, y, z) in mm of the base frame.
     """
 

@@ -169,7 +169,7 @@ def where_maps(before: Mapping[str, Sequence[Any]], after: Mapping[str, Sequence
     values += [row["rms_mm"] for name in names for row in (after or {}).get(name, [])]
     top = max([v for v in values if math.isfinite(v)], default=1.0) or 1.0
     letters = max(map(len, map(mm, values)), default=0) * (1 if after is None else 2) + (0 if after is None else 3)
-    bars = WIDE / 3 - LABEL - 0.53  # inches; the longest bar ends where the longest number beside it still has room
+    bars = WIDE / 3 - LABEL - 0.53  # inches; the longest bar ends where the longest number next to it still has room
     top *= bars / (bars - max(0.0, 0.056 * letters - 0.48))
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(WIDE, height))

@@ -249,7 +249,7 @@ def _kind(story: Story) -> str:
 
 
 def _short(story: Story) -> str:
-    """The same for the captions, where the top of the page has said it in full."""
+    """The same for the captions, where the top of the page gives it in full."""
     return f"; {story.series.kind}" if story.series is not None and story.series.kind != "measured" else ""
 
 

@@ -1,4 +1,4 @@
-"""Folds of a rod's cross-validation: blocks of time whose commands also occur elsewhere in the runs.
+"""Folds of a rod's cross-validation: blocks of time whose commands also occur in other parts of the runs.
 
 A recording of one or two sweeps visits each command once or twice. A long block then holds all frames of its commands,
 and its error measures the extrapolation of a polynomial, not its accuracy. So blocks and the gaps next to them are

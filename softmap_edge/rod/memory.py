@@ -126,7 +126,7 @@ class _Found:
 
     @property
     def certainty(self) -> Certainty:
-        """Whether the law is identified: strong, not at a bound, no alternative as good, little left unexplained."""
+        """Whether the law is identified: strong, not at a bound, no alternative as good, little unexplained error."""
         if self.short or self.more or self.rest or self.fitted.bounded.any():
             return "open"
         alike = any(self._is_as_good(other) for other in self.alternatives)

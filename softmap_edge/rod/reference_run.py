@@ -44,7 +44,7 @@ class Rod(Protocol):
 
 @dataclass(frozen=True)
 class FittedNumber:
-    """A fitted number: `value` ± `sigma` (one standard deviation) in `unit`; `note` says why it is not told, if so."""
+    """A fitted number: `value` ± `sigma` (one standard deviation) in `unit`; `note` says why if not identified."""
 
     label: str
     value: float

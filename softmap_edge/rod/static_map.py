@@ -65,7 +65,7 @@ class StaticMap:
         return float(_Folded(columns, self.left(acting), self.parts).losses(penalty).sum())
 
     def losses(self, acting: Floats, extra: Floats | None = None) -> Floats:
-        """Return the held-out loss (folds,) mm², with further columns (n, J) `beside` the map if they are given."""
+        """Return the held-out loss (folds,) mm², with `extra` columns (n, J) added to the map if given."""
         (columns, penalty), targets = self._columns(acting), self.left(acting)
         folded = _Folded(columns, targets, self.parts)
         alone = [folded.losses(ridge * penalty) for ridge in RIDGE_STEPS]

@@ -28,7 +28,7 @@ from softmap_edge.model.model import TIP_PER_NEWTON
 
 Floats = NDArray[np.float64]
 
-LOCK = 1.0  # what is taken where no known load tells
+LOCK = 1.0  # the default where no load is known
 NOMINAL_WEIGHT = 1.0  # N
 _SIMPSON = ((0.0, 1.0 / 6.0), (0.5, 4.0 / 6.0), (1.0, 1.0 / 6.0))
 

@@ -50,7 +50,7 @@ PROGRESS: Progress = lambda what, share: None  # noqa: E731
 
 
 def model_from_file(path: str | Path, progress: Progress | None = None) -> Model:
-    """Return the model of a sweep file: one of `softmap model sweep`, as from its finger, or one made elsewhere.
+    """Return the model of a sweep file: one of `softmap model sweep`, as from its finger, or an imported one.
 
     Raises:
         SoftmapError: a field is missing or wrong, with one line.

@@ -6,7 +6,7 @@
 Every command is a node up to `NODES`; beyond, nodes lie apart and all rows are fitted by least squares. Kernel and λ
 are those with the lowest leave-out error. A row is left out together with all within `reach` of it: as far as a command
 between two rows, drawn at random, is from its nearest row. Where rows follow one another along a path, as in a
-recording, neighbours would vouch for one another: then the middles of contiguous tenths are tested, the whole tenth
+recording, neighbours would vouch for one another: then the middles of contiguous tenths are tested, the full tenth
 left out. Closed form: with the smoother H, left out e_G = (1 − H_GG)⁻¹ r_G. Kernel and λ are chosen on the same rows,
 so the error is slightly low; rows at the border are left out by extrapolation, so they choose but do not count.
 Measured: fitted to the first 60 % of a recording of data/trunk (six motors), stated 5.5 mm, 6.1 on its last 30 %.
@@ -35,7 +35,7 @@ POWERS = (1, 3)
 SMOOTHINGS = tuple(10.0**k for k in range(-9, 2))  # λ over the largest squared singular value
 PAIRS, PAIRS_SEED = 500, 5
 LARGEST_GROUP = 0.1  # of the rows
-TINY = 1e-14  # of a row's own weight: what keeps a row that the fit meets whatever it is told solvable
+TINY = 1e-14  # of a row's own weight: what keeps rows solvable that the fit meets exactly
 BORDER = 0.9  # of half the range
 ENOUGH_INNER = 0.25  # of the rows
 
@@ -92,7 +92,7 @@ def fit_scattered(commands: Floats, values: Floats, most: int = NODES) -> Scatte
 
 
 def half_range(commands: Floats) -> Floats:
-    """Return half of what each command (S, C) goes over; 1 for one that never moves, which then tells nothing."""
+    """Return half of what each command (S, C) goes over; 1 for one that never moves and has no information."""
     half = 0.5 * np.ptp(commands, axis=0)
     return np.where(half > NARROW, half, 1.0)
 

@@ -1,4 +1,4 @@
-"""Say how a body that was swept elsewhere bends when a stretch of it is stiffer: by the bend that its own line shows.
+"""Say how a body of an imported sweep bends when a stretch of it is stiffer: by the bend that its own line shows.
 
 A body that tendons of given shortening bend keeps its total bend: a stretch that is stiffer bends less, all others
 more, each as it bends already. With κ(s) the curvature of the line less that at rest, in frames carried along it

@@ -1,4 +1,4 @@
-"""What a sweep holds and what a model of it can therefore not tell: the content of `softmap check` and `softmap
+"""What a sweep holds and what a model of it cannot represent: the content of `softmap check` and `softmap
 show`.
 """
 
@@ -14,7 +14,7 @@ from softmap_edge.sweep.sweep_file import ShapeSweep, is_own_sweep
 
 
 def summary(sweep: ShapeSweep) -> Document:
-    """Return what a sweep holds, with units in the keys, and what a model made of it can therefore not tell."""
+    """Return what a sweep holds, with units in the keys, and what a model made of it cannot represent."""
     home = sweep.vertices[int(np.argmin(np.sum(sweep.command**2, axis=1)))]
     line = find_centreline(home, sweep.base)
     body = line.body()
@@ -46,7 +46,7 @@ def summary(sweep: ShapeSweep) -> Document:
 
 
 def read_summary(path: Path) -> Document:
-    """Read a sweep file, made elsewhere or by `softmap model sweep`, and return its summary; raise SoftmapError."""
+    """Read a sweep file, imported or made by `softmap model sweep`, and return its summary; raise SoftmapError."""
     if not is_own_sweep(path):
         return summary(ShapeSweep.load_file(path))
     from softmap_edge.fem.simulator import Sweep

@@ -17,7 +17,7 @@ Floats = NDArray[np.float64]
 
 FAR, HIGH = 400.0, 60.0  # mm from the finger's axis, and above its base, at which cameras stand
 AROUND = 15.0  # mm by which the box of the outliers is larger than the finger
-DRAWN = 6  # points drawn for each one wanted; half of them and more are not seen
+DRAWN = 6  # points drawn for each one required; half of them and more are not seen
 
 
 @dataclass(frozen=True)
@@ -25,7 +25,8 @@ class DepthCameras:
     """Cameras around a finger: `views` directions (deg about its axis; none: it is seen from everywhere).
 
     `sigma_mm` a coordinate; `outliers` the share of points that are anywhere near; `uneven` how many times denser
-    points lie at the end than at the base; `hole_mm` the radius of a patch that is not seen, about a point drawn anew.
+    points lie at the end than at the base; `hole_mm` the radius of a patch that is not seen, about a point drawn for
+    each frame.
     """
 
     views: tuple[float, ...] = (0.0, 90.0)

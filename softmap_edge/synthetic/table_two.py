@@ -5,11 +5,11 @@
 
 The virtual finger (`synthetic/virtual_finger.py`) stands in for hardware, is simulated, and has what the model lacks:
 other elements and material, turned tendons, friction, a lean. A bundle that was calibrated on it sends ticks; without a
-calibration, as a rival's, the servos turn as told, by the map that they really have.
-A figure lies about the tip at rest: a model's own while it is solved, the executed finger's own while it is judged, so
-that where a finger merely hangs otherwise does not count. The tip is the middle of the vertices that move most, on a
-rival's own points while it is solved. Errors are distances in mm in the plane of the figure, at the waypoints.
-The paper's figures are of another finger, simulator, letters and amplitude. Pinned by
+calibration, as for the alternative, the servos turn as commanded, by the map that they really have.
+A figure lies about the tip at rest: a model's own while it is solved, the executed finger's own while it is evaluated,
+so that where a finger merely hangs otherwise does not count. The tip is the middle of the vertices that move most, on
+the alternative's own points while it is solved. Errors are distances in mm in the plane of the figure, at the
+waypoints. The paper's figures are of another finger, simulator, letters and amplitude. Pinned by
 tests/synthetic/test_table_two.py.
 """
 
@@ -68,7 +68,7 @@ class Row:
     unreachable: float
 
     def to_dict(self) -> Document:
-        """Return means, standard deviations and the largest, with the paper's beside them."""
+        """Return means, standard deviations and the largest, with those of the paper."""
         found: Document = {"figure": self.figure, "model": self.model, "unreachable_mm": self.unreachable}
         found |= {f"{name}_mm": spread(getattr(self, name)) for name in ("expected", *WHERE)}
         published = PUBLISHED_ERRORS.get((self.figure, self.model))
@@ -89,9 +89,10 @@ class Contender:
 
 
 def contenders(model: Model, rival: Model | None, finger: VirtualFinger) -> list[Contender]:
-    """Return who is compared: the model without its effects, with them if it has some, and a rival.
+    """Return the models that are compared: without effects, with them if there are some, and the alternative.
 
-    What is learned on top of the effects goes with them; they are undone in the orientation that the stand-in declares.
+    What is learned on top of the effects goes with them; they are compensated in the orientation that the stand-in
+    declares.
 
     Raises:
         SoftmapError: a model of another finger.
@@ -128,9 +129,14 @@ def table_two(
     """Lead all letters by all models, and replay each sequence on both fingers.
 
     Args:
-        model: ours. rival: another, as `softmap train prior --model deepsoro` makes it. seed: draws the stand-in; a
-        bundle should be calibrated on that of the same seed. amplitude: mm. duration: s. rate: waypoints a second.
-        method: how inverse kinematics is solved. progress: told what is done and the share.
+        model: ours.
+        rival: an alternative, as `softmap train prior --model deepsoro` makes it.
+        seed: draws the stand-in; a bundle should be calibrated on that of the same seed.
+        amplitude: of the letters, mm.
+        duration: s.
+        rate: waypoints a second.
+        method: how inverse kinematics is solved.
+        progress: called with what is done and the share.
 
     Raises:
         SoftmapError: a model of another finger, or as `course`.
@@ -182,7 +188,7 @@ def _off(planned: Course, tip: Floats, seen: NDArray[np.int64]) -> Floats:
 
 
 def text_of(document: Document) -> str:
-    """Return the table as text, the paper's columns beside ours."""
+    """Return the table as text, with the paper's columns."""
 
     def numbers(document: Document | None) -> str:
         return "–" if document is None else "{mean:.2f} ± {sd:.2f}, {max:.2f}".format(**document)

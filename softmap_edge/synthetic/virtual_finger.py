@@ -1,15 +1,15 @@
-"""The virtual finger: a stand-in for hardware, to try a whole pipeline on. It is simulated and is never called real.
+"""The virtual finger: a stand-in for hardware, to try a complete pipeline on. It is simulated and is never called real.
 
     command ─whole ticks─> u ─friction, hidden effects─> tetrahedra, another material, turned tendons, a lean─> points
                                                                                       points ─two noisy views─> clouds
 
-Beside the model it is the same solid of other elements (`fem/cut.py`; a mesh of tetrahedra as it is), with a modulus
-drawn within ±20 % and Poisson's ratio 0.45, tendons turned about the axis by a drawn 3 to 6 degrees, friction that
-remembers (`truth_laws.BoucWen`) and a mounting that leans by up to 20 degrees, which the run declares to 2. Hidden
+Compared with the model it is the same solid of other elements (`fem/cut.py`; a mesh of tetrahedra as it is), with a
+modulus drawn within ±20 % and Poisson's ratio 0.45, tendons turned about the axis by a drawn 3 to 6 degrees, friction
+that remembers (`truth_laws.BoucWen`) and a mounting that leans by up to 20 degrees, which the run declares to 2. Hidden
 effects come on top as in `synthetic/finger.py`. **Never calls the effect library**, nor a model's prior or fields.
-The run holds what hardware gives: ticks told and read (`robot/emulated/published_map.py`, encoder noise of one tick),
-clouds, the declared gravity and camera noise; no command in mm and no vertex. Those go into the arrays of the truth,
-kept apart. Every frame is solved. Randomness only from the seeds. Pinned by tests/synthetic/test_virtual.py.
+The run holds what hardware gives: ticks commanded and read (`robot/emulated/published_map.py`, encoder noise of one
+tick), clouds, the declared gravity and camera noise; no command in mm and no vertex. Those go into the arrays of the
+truth, kept apart. Every frame is solved. Randomness only from the seeds. Pinned by tests/synthetic/test_virtual.py.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ PHASE = (3.0, 6.0)  # degrees by which the tendons are turned about the axis, ei
 LEAN, MEASURED = 20.0, 2.0  # degrees: the mounting leans by at most, and is known to
 MADE_BY = "virtual finger of softmap-edge: simulated, no hardware"
 FRICTION = (
-    0.4  # of what a demo hides: a lubricated tendon, so that what a static correction can mend is the larger part
+    0.4  # of what a demo hides: a lubricated tendon, so that what a static baseline can correct is the larger part
 )
 ENCODER = 1.0  # ticks, standard deviation
 CAMERAS = replace(TWO, points=5000, hole_mm=8.0)

@@ -1,4 +1,4 @@
-"""Regressors to stand beside the networks: commands (n, C) mm to points (n, 3N) mm.
+"""Regressors to compare with the networks: commands (n, C) mm to points (n, 3N) mm.
 
 xgboost    gradient-boosted trees to the weights of the leading modes of the training shapes (Chen & Guestrin 2016)
 gp         a Gaussian process on each mode: squared-exponential kernel, a length for each command, one noise; lengths
@@ -115,7 +115,7 @@ def _gp(commands: Floats, weights: Floats, seed: int) -> Regressor:
 
     middle, half = commands.mean(axis=0), half_range(commands)
     q, scale = (commands - middle) / half, weights.std(axis=0)
-    y = weights / scale  # the first modes are signal, the last round-off: these tell no lengths
+    y = weights / scale  # the first modes are signal, the last round-off: these show no length scales
     leading = y[:, : choices.GP_MODES]
     some = np.random.default_rng(seed).permutation(len(q))[: choices.GP_SOME]
 

@@ -1,4 +1,4 @@
-"""The verbs that this distribution adds to the `softmap` command; imports no torch."""
+"""The commands that this distribution adds to `softmap`; imports no torch."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from softmap_edge.commands import Command
 
 
 def verbs() -> list[Command]:
-    """Return the verbs to add."""
+    """Return the commands to add."""
     return [
         Command(
             "train", "make or change a model", "train a prior or a residual network", "softmap_training.train_verb"

@@ -1,8 +1,8 @@
-"""What `softmap evaluate` fits itself, for one seed or several, and judges beside the bundles.
+"""What `softmap evaluate` fits itself, for one seed or several, and evaluates with the bundles.
 
     on a simulated set    priors and baselines, taught by its training part
     on a recording        a decoder in the manner of DeepSoRo, taught by the clouds at the model's calibrated commands;
-                          residuals on top of the model, also on growing parts of the recording, whole blocks of it
+                          residuals on top of the model, also on growing parts of the recording, complete blocks of it
 
 Which blocks make a part is drawn by the seed, and each part holds the smaller ones. Pinned by
 tests/training/test_evaluate.py.
@@ -54,7 +54,7 @@ class Plan:
 
 
 def fitted_to_set(name: str, data: SimulatedSet, surface: Surface, plan: Plan, bar: Progress) -> Row:
-    """Fit a prior or a baseline to the training part of a set, and judge it on the test part.
+    """Fit a prior or a baseline to the training part of a set, and evaluate it on the test part.
 
     Raises:
         TrainingError: the set is too small, or what it needs is not installed.
@@ -84,7 +84,7 @@ def fitted_to_set(name: str, data: SimulatedSet, surface: Surface, plan: Plan, b
 
 
 def decoder(lesson: Lesson, recording: Recording, plan: Plan, bar: Progress) -> Row:
-    """Fit a decoder to the clouds of a lesson, and judge it."""
+    """Fit a decoder to the clouds of a lesson, and evaluate it."""
     base, rows = lesson.base, []
     clouds = [thinned(cloud, choices.SAMPLES) for cloud in lesson.clouds]
     held, asked = lesson.parts[0][1], base.effective_commands(recording.run)  # held out as for a residual
@@ -101,7 +101,7 @@ def decoder(lesson: Lesson, recording: Recording, plan: Plan, bar: Progress) -> 
 
 
 def residuals(lesson: Lesson, recording: Recording, kind: choices.ResidualKind, plan: Plan, bar: Progress) -> list[Row]:
-    """Train a residual on growing parts of a lesson, and judge each; the last row is taught by all of it.
+    """Train a residual on growing parts of a lesson, and evaluate each; the last row is taught by all of it.
 
     A part that is too small for a residual is left out.
     """

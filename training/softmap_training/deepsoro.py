@@ -78,7 +78,7 @@ def fit_deepsoro(
         held: which of them teach nothing and say which epoch is best; without them those that teach say it.
         epochs: in place of the usual number; one goes through `choices.DEEPSORO_DRAWN` bodies or more.
         folder: where checkpoints and the log are kept.
-        told: called with the share done.
+        progress: called with the share done.
     """
     seeded(seed)
     network = Folding(commands, bodies, count)

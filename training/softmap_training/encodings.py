@@ -1,4 +1,4 @@
-"""Shapes told by differences instead of places: what a network predicts, and the linear map that makes places of it.
+"""Shapes described by differences: what a network predicts, and the linear map from it to places.
 
 laplacian   δ = L v, the cotangent Laplacian of the vertices (Sorkine et al. 2004, doi:10.1145/1057432.1057456); back:
             the v of least |L v − δ|² + w² |v_h − q_h|² with the clamped vertices h at their places q

@@ -1,14 +1,14 @@
-"""The paper's Table I and ours beside it: on simulated shapes of one frozen split, and on a recording.
+"""The paper's Table I and ours: on simulated shapes of one frozen split, and on a recording.
 
     chamfer    mean distance from prediction to target + mean distance back, not squared, mm (as in the paper's tables)
-    visible    the same, of the vertices alone that registration finds in the cloud: what nobody saw asks for nothing
+    visible    the same, of the vertices alone that registration finds in the cloud: unseen vertices do not count
     surface    mean distance from each point of a cloud to the predicted surface, mm: one-sided
-    whole      Chamfer to the true vertices of a recording, where somebody knows them: no view is missing
+    `whole`    Chamfer to the true vertices of a recording, where they are known: no view is missing
     vertex     mean distance from each vertex to where it should be, mm
 
 Every figure is a mean ± standard deviation over frames; of what is drawn by chance, a mean over seeds and the standard
-deviation of that mean from seed to seed beside it. Two views show 55 to 70 % of a body, so that the exact shape scores
-1.8 to 2.5 mm Chamfer on their clouds: `surface`, and where the truth is known `vertex`, tell shapes apart there. The
+deviation of that mean from seed to seed. Two views show 55 to 70 % of a body, so that the exact shape scores
+1.8 to 2.5 mm Chamfer on their clouds: `surface`, and where the truth is known `vertex`, distinguish shapes there. The
 points of a decoder are no vertices: it has neither `visible` nor, on a recording, `vertex`.
 The published figures are those of another finger, simulator and camera. Pinned by tests/training/test_evaluate.py.
 """
@@ -58,8 +58,8 @@ TIMED = 50  # single commands that are timed
 class Row:
     """One model on one set or recording of K frames.
 
-    `errors` (S, K) mm of S seeds by name · `told` what it is and what it took · `shapes` (K, N, 3) mm of the first seed
-    with their `triangles`, and what was `seen` of each, for pictures.
+    `errors` (S, K) mm of S seeds by name · `details` what it is and what it took · `shapes` (K, N, 3) mm of the first
+    seed with their `triangles`, and what was `seen` of each, for pictures.
     """
 
     name: str
@@ -71,7 +71,7 @@ class Row:
 
     def to_dict(self) -> dict[str, Any]:
         """Return means and standard deviations in mm (over frames, and of the mean from seed to seed where there are
-        several), the worst frame, and what was told.
+        several), the worst frame, and the details.
         """
         found = {
             f"{name}_mm": {"mean": float(np.nanmean(e)), "sd": float(np.nanstd(e, axis=1).mean()),
@@ -83,7 +83,7 @@ class Row:
 
     @classmethod
     def of_seeds(cls, rows: Sequence[Row]) -> Row:
-        """Return rows that differ by their seed as one: their errors beside each other, of times the mean."""
+        """Return rows that differ by their seed as one: their errors together, of times the mean."""
         errors = {name: np.concatenate([row.errors[name] for row in rows]) for name in rows[0].errors}
         details = dict(rows[0].details)
         details |= {key: float(np.mean([row.details[key] for row in rows])) for key in TIMES if key in details}
@@ -92,7 +92,7 @@ class Row:
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """A recording that judges: its clouds, vertices laid onto them (K, N), and the true ones where they are known."""
+    """A recording for validation: clouds, vertices laid onto them (K, N), and the true ones if known."""
 
     run: Run
     clouds: list[Floats]
@@ -126,7 +126,7 @@ class Recording:
         return np.asarray(self.laid.visible, np.float64)
 
     def evaluate(self, name: str, model: Model, details: Mapping[str, Any] | None = None) -> Row:
-        """Judge a model."""
+        """Evaluate a model."""
         shapes = np.asarray(model.predict(self.run))
         return self.evaluate_shapes(name, shapes, model.triangles, details, body=not is_decoder(model))
 
@@ -138,7 +138,7 @@ class Recording:
         details: Mapping[str, Any] | None = None,
         body: bool = True,
     ) -> Row:
-        """Judge shapes (K, N, 3) mm and their surface; those of no `body` have points that are no vertices."""
+        """Evaluate shapes (K, N, 3) mm and their surface; those of no `body` have points that are no vertices."""
         found = {
             "chamfer": [_chamfer(s, c) for s, c in zip(shapes, self.clouds)],
             "surface": [_to_surface(s, c, triangles) for s, c in zip(shapes, self.clouds)],
@@ -162,13 +162,13 @@ def on_shapes(
     details: Mapping[str, Any],
     triangles: Triangles | None = None,
 ) -> Row:
-    """Judge a model on simulated shapes that taught it nothing.
+    """Evaluate a model on simulated shapes that taught it nothing.
 
     Args:
         name: of the row.
         predict: commands (n, C) mm → points (n, 3N) mm.
         commands, points: of the test part.
-        told: `what` kind of model it is, seconds of training, numbers learned and so on.
+        details: `what` kind of model it is, seconds of training, numbers learned and so on.
         triangles: of the template.
     """
     found = np.asarray(predict(commands), np.float64).reshape(len(points), -1, 3)
@@ -183,7 +183,7 @@ def on_shapes(
 
 
 def holds_shapes_of(model: Model, u: Floats) -> bool:
-    """Return whether a model is a table whose own nodes all these commands (n, C) are: it was told their shapes.
+    """Return whether a model is a table whose own nodes all these commands (n, C) are: it holds their shapes.
 
     One that was learned has the nodes, but was taught by the training part alone.
     """
@@ -195,8 +195,8 @@ def holds_shapes_of(model: Model, u: Floats) -> bool:
 def halfway(model: Model, u: Floats, finger: Finger) -> tuple[Floats, Floats]:
     """Return commands (n, C) half a cell from the nodes u of a table, towards the middle, and their shapes (n, 3N) mm.
 
-    The finger is simulated there, so that a table that was told all nodes is judged where it has to interpolate, as
-    far from what it was told as can be.
+    The finger is simulated there, so that a table that holds all nodes is evaluated where it has to interpolate, as
+    far from its nodes as can be.
     """
     moved = np.empty_like(u)
     for c, axis in enumerate(model.prior.axes):

@@ -157,7 +157,7 @@ def _sentence(document: Document) -> str:
 
 
 def _main(document: Document) -> str:
-    """Return the error that tells most of a recording: to the true vertices where they are known."""
+    """Return the most informative error of a recording: to the true vertices where they are known."""
     return "vertex" if any("vertex_mm" in row for row in document["recorded"]) else "surface"
 
 

@@ -1,4 +1,4 @@
-"""The verb evaluate: bundles, and what is fitted beside them, on simulated shapes and on a recording."""
+"""The command evaluate: bundles, and what is fitted for comparison, on simulated shapes and on a recording."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ def evaluate_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def evaluate(args: argparse.Namespace) -> int:
-    """Judge models and print their tables."""
+    """Evaluate models and print their tables."""
     asked = _checked(args)
     load_own(args)
     names = [Path(path).name for path in args.bundles]

@@ -27,7 +27,7 @@ Floats = NDArray[np.float64]
 def to_onnx(network: nn.Sequential, channels: int, metadata: dict[str, str] | None = None) -> bytes:
     """Return the ONNX file of a network as training made it: commands (n, C) → points (n, 3N), n free.
 
-    metadata: what goes into its metadata.
+    metadata: written into the file.
 
     Raises:
         TrainingError: a layer that no bundle holds.

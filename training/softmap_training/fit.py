@@ -65,7 +65,7 @@ def fit(
         task: network, loss and validation.
         recipe: epochs, batch, rate and so on.
         folder: where checkpoints and logs are kept; None keeps none.
-        progress: told the share done and a line after every epoch.
+        progress: called with the share done and a line after every epoch.
         device: "cpu" or "cuda"; on a GPU matrices are multiplied in bfloat16.
         tensorboard: write its events too.
         until: end with this many epochs of the recipe's and keep the last, whatever validation says.
@@ -163,7 +163,7 @@ def _cosine(part: float, last: float) -> float:
 
 
 def _keep(folder: Path, key: str, state: _State, network: Any, optimizer: Any, falls: Any, draw: Any) -> None:
-    """Write checkpoint and log, whole or not at all."""
+    """Write checkpoint and log completely or not at all."""
     content = {
         "key": key,
         "network": network.state_dict(),

@@ -49,7 +49,7 @@ class Modes(nn.Module):
 
 
 def spread(commands: Floats) -> Floats:
-    """Return the standard deviation of each command (S, C); 1 for one that never moves, which then tells nothing."""
+    """Return the standard deviation of each command (S, C); 1 for one that never moves, which has no information."""
     size = commands.std(axis=0)
     return np.where(size > NARROW, size + EPSILON, 1.0)
 

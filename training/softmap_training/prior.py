@@ -4,12 +4,13 @@
 
 modes       ours: weights of the leading modes of the training shapes, all in one unit: the loss is the error in mm²
 published   the paper's, each output by its own mean and spread; also without its dropout
-laplacian, arap   the paper's layers to the shapes as `encodings.py` tells them, each number by its own mean and spread
+laplacian, arap   the paper's layers to the shapes as `encodings.py` describes them, each number by its own mean and
+spread
 linear      least squares, no training
-table, gp, xgboost   regressors (`baselines.py`), as a table over the axes of the bundle: that is what is judged
+table, gp, xgboost   regressors (`baselines.py`), as a table over the axes of the bundle: that is what is evaluated
 deepsoro    a decoder (`deepsoro.py`) as a bundle of its own points, which are no vertices (`decoder_model`)
 
-Errors are told on the test part of one frozen split, at commands that are not in the training part. The rest of the
+Errors are reported on the test part of one frozen split, at commands that are not in the training part. The rest of the
 bundle (fields, tendons, effects) stays as it was; a residual goes, it was learned on another prior. Units: mm.
 Pinned by tests/training/test_training.py.
 """
@@ -69,7 +70,7 @@ class Surface:
 
 @dataclass(frozen=True)
 class Trained:
-    """A trained network, its ONNX file, and what is told about it."""
+    """A trained network, its ONNX file, and its report."""
 
     network: nn.Sequential
     content: bytes
@@ -83,7 +84,7 @@ class Trained:
 
 @dataclass(frozen=True)
 class Tabulated:
-    """A regressor as the arrays of a table, and what is told about it."""
+    """A regressor as the arrays of a table, and its report."""
 
     arrays: Arrays
     report: dict[str, Any]
@@ -107,10 +108,10 @@ def train_prior(
         commands, points: the simulated set.
         parts: indices of training, validation and test.
         kind: as above.
-        surface: what "laplacian" and "arap" are told about.
+        surface: what "laplacian" and "arap" need.
         recipe: other numbers than those of `choices.py`.
         folder: where checkpoints and logs are kept.
-        progress: told the share done and a line.
+        progress: called with the share done and a line.
         device: "cpu" or "cuda".
         tensorboard: write its events too.
 
@@ -186,11 +187,11 @@ def decoder_model(
 
     Its points are those of its own sheet, at rest where it lays them at home; its tip is the 5 % of them that move
     most.
-    Nothing else of the base's is in it: no fields, effects, calibration. It is judged by half the Chamfer distance.
+    Nothing else of the base's is in it: no fields, effects, calibration. It is evaluated by half the Chamfer distance.
 
     Args:
         base: the finger. commands, points, parts: as for `train_prior`. epochs: in place of the usual number.
-        seed: draws first weights. folder: of checkpoints. told: called with the share done.
+        seed: draws first weights. folder: of checkpoints. progress: called with the share done.
 
     Raises:
         TrainingError: another finger's set.
@@ -251,7 +252,7 @@ def _chamfer(one: Floats, other: Floats) -> float:
 
 
 def _evaluated(taught: Floats, found: Floats, points: Floats) -> dict[str, Any]:
-    """Return what is told of a prior by the commands that taught it, and what it makes of the test part."""
+    """Return the report of a prior: its training commands and its error on the test part."""
     return {
         "samples": len(taught),
         "command_range": span(taught),
@@ -291,7 +292,7 @@ def _normalised(last: Any, values: Floats) -> Floats:
 
 
 def with_prior(base: Model, trained: Trained | Tabulated, commands: Floats, points: Floats) -> Model:
-    """Return a bundle's model with a trained prior in place of its own; `commands` and `points` judge it (test part).
+    """Return a bundle's model with a trained prior in place of its own; `commands` and `points` are the test part.
 
     Its own error grows by that of what was trained, in squares.
 

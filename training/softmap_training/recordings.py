@@ -1,6 +1,6 @@
 """Recordings that teach on top of a model, as one lesson: what the model makes of each frame, and what was seen.
 
-Clouds are brought into the frame of their base where it clearly stands off (`alignment/base_in_clouds.py`), and the
+Clouds are brought into the frame of their base where it is clearly displaced (`alignment/base_in_clouds.py`), and the
 template is laid onto them, run by run. Units: mm. Pinned by tests/training/test_evaluate.py and
 tests/adaptation/test_residual_network.py.
 """
@@ -36,7 +36,8 @@ class Lesson:
 
     `commands` (K, C) act, and the model makes `points` (K, N, 3) mm of them. `clouds` (m, 3) mm were seen, empty where
     vertices were recorded; `vertices` (K, N, 3) mm are these or those laid onto clouds, each with its `weight` (K, N)
-    in 1/mm², 0 where it was not seen. `times` (K,) s are of all runs, whose hashes are `runs`; `remarks`: to be told.
+    in 1/mm², 0 where it was not seen. `times` (K,) s are of all runs, whose hashes are `runs`; `remarks`: to be
+    reported.
     """
 
     base: Model

@@ -6,9 +6,9 @@ Published: a network 64-256-256-64 to all points, Chamfer to the clouds + λ_l2 
 |Δᵢ − Δⱼ|². On clouds of two views it pulls the unseen side through the body and moves what a clamp holds. Ours is
 taught by the registered vertices, each by how well it was seen, and by the Chamfer distance of those that were seen
 (which changes little): Δ is a few modes of what they show beyond the model, none of which moves a clamped vertex,
-weighted by a small network of the command. Validation is on whole blocks of the recordings; ours leaves each out once,
-then learns from all for as long as was best on average. Friction remembers where a command was reached from: a command
-that is reached from several sides, in several recordings, teaches their mean.
+weighted by a small network of the command. Validation is on complete blocks of the recordings; ours leaves each out
+once, then learns from all for as long as was best on average. Friction remembers where a command was reached from: a
+command that is reached from several sides, in several recordings, teaches their mean.
 Pinned by tests/adaptation/test_residual_network.py.
 """
 

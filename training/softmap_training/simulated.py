@@ -6,8 +6,8 @@
 
 The rule of the split is frozen (`softmap.split/1`, whose name a store holds): row r gets splitmix64(r + 1 of the seed's
 stream) (Steele, Lea and Flood 2014), rows go by that number, the first 80 % train, the next 10 % validate, the rest
-test. It depends on no library's generator. Rows of a dense grid have near neighbours in every part: such a test judges
-interpolation, not memory or the real robot.
+test. It depends on no library's generator. Rows of a dense grid have near neighbours in every part: such a test
+measures interpolation, not memory or the real robot.
 """
 
 from __future__ import annotations

@@ -5,7 +5,7 @@
 A chunk is a run of grid rows. It is solved by itself, from the home pose along a short way through its commands
 (`tour`, `Simulator.path`), so that its numbers do not depend on which others were solved, nor where: within the
 solver's tolerance those of `Simulator.sweep`. One process writes; workers of a cluster only solve, and need
-softmap-training installed and, for a mesh made elsewhere, its file at the same path. A chunk whose worker is lost goes
+softmap-training installed and, for an imported mesh, its file at the same path. A chunk whose worker is lost goes
 to another one (Dask gives up after a chunk has lost four). Units: mm, N, g.
 """
 

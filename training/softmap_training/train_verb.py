@@ -1,4 +1,4 @@
-"""The verb train: a prior from simulated shapes, a residual from a recording; both end in a bundle."""
+"""The command train: a prior from simulated shapes, a residual from a recording; both end in a bundle."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from softmap_training.choices import PriorKind, ResidualKind
 from softmap_training.errors import TrainingError
 
 FITTED = ("linear", *(name for name in BASELINES if name != "deepsoro"))  # at once, without epochs
-WORK = ".training"  # what the folder of checkpoints and logs ends in, beside the bundle
+WORK = ".training"  # what the folder of checkpoints and logs ends in, next to the bundle
 
 
 def train_arguments(parser: argparse.ArgumentParser) -> None:
@@ -134,7 +134,7 @@ def _residual(args: argparse.Namespace, base: Any, work: Path | None, bar: Bar) 
 
 
 def _text(document: dict[str, Any]) -> str:
-    """Return what is said of a training on a terminal."""
+    """Return the report of a training for a terminal."""
     head, took = f"{document['bundle']}: {document['what']}", f"{document['seconds']:.0f} s"
     lines = [f"{head} table ({document['kind']}), {took}"]
     if "parity_mm" in document:
