@@ -119,7 +119,7 @@ def test_a_place_outside_the_window_is_a_fault_and_its_command_leads_back(tmp_pa
 
 def follow(said, run=True):
     """Run the jog that a message names as often as it says; return the command."""
-    command, times = re.search(r"`softmap (move [^`]+)`(?:, (\d+) times)?", said).groups()
+    command, times = re.search(r"`softmap (servo move [^`]+)`(?:, (\d+) times)?", said).groups()
     for _ in range(int(times or 1) if run else 0):
         assert main([*shlex.split(command), "--hold"]) == 0
     return command

@@ -257,7 +257,7 @@ def test_rig_toml_carries_its_stops(tmp_path):
             ("line = 22, ", "", "no line"),
             ("timeout = 0.1", "timeout = 60.0", "timeout = 60.0, expected 0.02 to 2"),
             ("port = 5006, ", "", "no port or no key_file"),
-            ("active_low = true", "active_low = 1", "expected bool"),
+            ("active_low = true", "active_low = 1", "expected true or false"),
             ("gpio = ", "button = ", "no key 'button'"),
         ):
             assert old in text

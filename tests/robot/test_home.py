@@ -212,7 +212,7 @@ def test_all_servos_away_from_home_are_listed_with_jogs_that_lead_back(tmp_path,
         said = capsys.readouterr().err
         assert "servo 1 stands at 2000, +559 ticks" in said and "servo 2 stands at 2000, -210 ticks" in said
         assert "--new is for another finger" in said and "calibrations made before no longer fit" in said
-        jogs = re.findall(r"`softmap (move [^`]+)`(?:, (\d+) times)?", said)
+        jogs = re.findall(r"`softmap (servo move [^`]+)`(?:, (\d+) times)?", said)
         assert [times for _, times in jogs] == ["2", ""] and file in jogs[0][0]
         for command, times in jogs:
             for _ in range(int(times or 1)):

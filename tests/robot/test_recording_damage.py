@@ -80,8 +80,8 @@ def test_a_number_that_changed_somewhere_is_refused_but_for_replay(copied, tmp_p
     """The remedy that the line names leads out."""
     changed(copied, b'"overruns":', b'"Overruns":')  # a key that no run needs
     line = "drive.mcap is damaged: the checksum of its data does not match, so any of its "
-    for words, code in (["show", 2], ["compare", 2], ["diagnose", 2], ["model", "predict", 2], ["check", 1]):
-        assert main([words, str(copied)]) == code, words
+    for words, code in (("show", 2), ("compare", 2), ("diagnose", 2), ("model predict", 2), ("check", 1)):
+        assert main([*words.split(), str(copied)]) == code, words
         said = capsys.readouterr().err
         assert said.count("\n") == 1 and line in said, said
     assert main(["check", str(copied), "--json"]) == 1
@@ -97,7 +97,7 @@ def test_what_is_damaged_at_one_place_is_read_up_to_there_and_said(copied, capsy
     changed(copied, b'"overruns":', b'"overruns";')
     line = re.compile(r"drive.mcap is damaged \(message \d+ is no JSON: .*\); it is read up to \d\.\d\d s; \d+ of "
                       rf"{count + 1} messages missing")  # fmt: skip
-    for words in (["show"], ["check"], ["predict"], ["replay"]):
+    for words in (["show"], ["check"], ["model", "predict"], ["servo", "replay"]):
         assert main([*words, str(copied)]) == 1, words
         said = capsys.readouterr()
         assert len(line.findall(said.err)) == 1, said
@@ -110,7 +110,7 @@ def test_what_is_damaged_at_one_place_is_read_up_to_there_and_said(copied, capsy
 def test_a_cut_recording_is_said_by_each_command(copied, tail, capsys):
     data = copied.read_bytes()
     copied.write_bytes(data[: len(data) // 2] + tail)
-    for words in (["show"], ["check"], ["predict"], ["replay"]):
+    for words in (["show"], ["check"], ["model", "predict"], ["servo", "replay"]):
         assert main([*words, str(copied)]) == 1, words
         said = capsys.readouterr()
         assert re.search(r"drive.mcap was cut short: its loop did not close it.*; it is read up to 0\.\d\d s", said.err)
