@@ -40,7 +40,7 @@ Progress = Callable[[str, float], None]
 
 LETTERS = ("S", "H", "O", "E")
 PLANE = "xy"
-OURS, UNDONE, RIVAL = "ours", "ours, effects compensated", "rival"
+OURS, COMPENSATED, RIVAL = "ours", "ours, effects compensated", "rival"
 WHERE = ("simulator", "stand_in")
 # Table II: mean, standard deviation and largest in mm, in simulation and on hardware; the paper's own data.
 PUBLISHED_ERRORS = {
@@ -108,7 +108,7 @@ def contenders(model: Model, rival: Model | None, finger: VirtualFinger) -> list
     found.append(Contender(OURS, plain, None, map_))
     if model.chain_names:
         leaning = np.asarray(HANGING) @ rotation((*finger.declared_deg, 0.0)).T
-        found.append(Contender(UNDONE, model, leaning, map_))
+        found.append(Contender(COMPENSATED, model, leaning, map_))
     if rival is not None:
         found.append(Contender(RIVAL, rival, None, map_))
     return found
