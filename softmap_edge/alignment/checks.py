@@ -88,9 +88,9 @@ def check_scale(source: Floats, target: Floats, seen: Mask, what: str, left: flo
         if len(a) > 4000:
             pick = rng.choice(len(a), 4000, replace=False)
             a, b = a[pick], b[pick]
-        target = np.linalg.norm(q[index[a]] - q[index[b]], axis=1)
-        far = target > 0.3 * target.max(initial=0.0)
-        ratios.append(np.linalg.norm(s[index[a]] - s[index[b]], axis=1)[far] / np.maximum(target[far], 1e-9))
+        distance = np.linalg.norm(q[index[a]] - q[index[b]], axis=1)
+        far = distance > 0.3 * distance.max(initial=0.0)
+        ratios.append(np.linalg.norm(s[index[a]] - s[index[b]], axis=1)[far] / np.maximum(distance[far], 1e-9))
     ratio = float(np.median(np.concatenate(ratios))) if ratios else 1.0
     unit = next((name for factor, name in UNITS.items() if abs(ratio / factor - 1.0) < REFUSED), None)
     if unit is not None:
