@@ -1,11 +1,11 @@
 """Adapt a model to recordings: physics first, a residual on what physics leaves.
 
     clouds ─registration─> vertices     ticks ─calibration─> commands
-    diagnose ─> add what is missing ─> learn a residual of the rest ─> judge, each alone and both together
+    diagnose ─> add what is missing ─> learn a residual of the rest ─> validate, each alone and both together
 
 A residual is a function of the command alone. What depends on how a command was reached it cannot learn, and what it
 can stands in for physics only under the conditions of its runs; so it comes last, and stays only where it surely lowers
-the error on blocks that were left out. Rivals of what is added are told: on these runs they would do as well.
+the error on blocks that were left out. Alternatives to what is added are reported: they fit these runs as well.
 Calibration is fitted without the effects, so that gain, offset or coupling found after it may be a correction of it.
 Units: mm. Pinned by tests/adaptation/test_adaptation.py.
 """
@@ -39,11 +39,11 @@ SURE = 2.0  # standard errors by which a residual lowers the error on left-out b
 
 @dataclass(frozen=True, eq=False)
 class Adaptation:
-    """What an adaptation found: the new `model`, and what each step said.
+    """What an adaptation found: the new `model`, and the report of each step.
 
     `before` is the model that was adapted, with its calibration; `error` holds RMS distances in mm of the four WAYS
-    on what taught none of them, None where one was not tried; `fall` by which share the error fell. `judge` is what
-    it was measured on, `runs` what taught; clouds are vertices there. Prints itself; `to_dict()` is
+    on what taught none of them, None where one was not tried; `fall` by which share the error fell. `validation` is
+    what it was measured on, `runs` what taught; clouds are vertices there. Prints itself; `to_dict()` is
     softmap.adaptation/1.
     """
 
@@ -54,7 +54,7 @@ class Adaptation:
     residual: Document
     error: dict[str, float | None]
     error_on: str
-    judge: Run
+    validation: Run
     runs: list[Run]
 
     @property
@@ -109,11 +109,11 @@ class Adaptation:
         return "\n".join([*lines, *(f"  look at: {text}" for text in self.residual.get("warnings", []))])
 
 
-def _of_residual(told: Document, kept: bool) -> str:
-    if "why" in told:
-        return f"no residual: {told['why']}"
-    every = "" if told["frames"] == told["of_frames"] else f" of {told['of_frames']} (complete ones, {ROWS} at most)"
-    line = f"residual of {told['size_mm']:.2f} mm RMS over the command, learned from {told['frames']} frames{every}"
+def _of_residual(facts: Document, kept: bool) -> str:
+    if "why" in facts:
+        return f"no residual: {facts['why']}"
+    every = "" if facts["frames"] == facts["of_frames"] else f" of {facts['of_frames']} (complete ones, {ROWS} at most)"
+    line = f"residual of {facts['size_mm']:.2f} mm RMS over the command, learned from {facts['frames']} frames{every}"
     return line if kept else f"{line}: left out, it does not surely lower what was held out"
 
 
@@ -122,25 +122,25 @@ def adapt(
     run: Run | Sequence[Run],
     held_out: Run | None = None,
     physics: bool = True,
-    told: Callable[[str], None] | None = None,
+    progress: Callable[[str], None] | None = None,
 ) -> Adaptation:
     """Calibrate a model, add the physics that it lacks, and learn a residual of the rest.
 
     Args:
-        model: an earlier residual is learned anew; effects that it has stay.
+        model: an earlier residual is learned again; effects that it has stay.
         run: one recording or several of the robot, of vertices, clouds or the model's markers. Ticks are calibrated
             with the first run that holds enough commands for it, unless the model knows them already.
         held_out: a recording for validation only, not for learning ways; without it blocks of the runs are held out.
         physics: look for missing effects; without, the residual stands in for them.
-        told: hears what goes on, a line each.
+        progress: called with one line per step.
 
     Returns:
-        Adaptation: the new model, what each step said, and the error of each way.
+        Adaptation: the new model, the report of each step, and the error of each way.
 
     Raises:
         SoftmapError: the measurement is at fault, too few frames, or runs of another robot.
     """
-    say = told or (lambda line: None)
+    say = progress or (lambda line: None)
     runs = list(run) if isinstance(run, Sequence) else [run]
     base = model.with_residual(None)
     if not runs:
@@ -158,18 +158,18 @@ def adapt(
     rest, residual = _rest(better, shown, added)
     kept = rest is not None and residual["gain_in_se"] > SURE
     if held_out is None:
-        judge, error, on = shown[0], _on_blocks(found, residual), _blocks(found)
+        validation, error, on = shown[0], _on_blocks(found, residual), _blocks(found)
     else:
-        judge, on = _shown(base, held_out, say), "a run that taught nothing, points that were seen"
+        validation, on = _shown(base, held_out, say), "a run that taught nothing, points that were seen"
         alone = rest if found is None else _rest(base, shown, True)[0]
         ways = [base, alone, *([None, None] if found is None else [better, rest])]
-        error = {way: None if m is None else compare(m, judge).error["rms_mm"] for way, m in zip(WAYS, ways)}
+        error = {way: None if m is None else compare(m, validation).error["rms_mm"] for way, m in zip(WAYS, ways)}
     model = rest if kept and rest is not None else better
-    return Adaptation(model, base, calibration, found, residual, error, on, judge, shown)
+    return Adaptation(model, base, calibration, found, residual, error, on, validation, shown)
 
 
 def _rest(model: Model, runs: Sequence[Run], spare: bool) -> tuple[Model | None, Document]:
-    """Return the model with a residual and what is told of it; None and why where runs teach none, if it is spare."""
+    """Return the model with a residual and its report; None and why where runs teach none, if it is spare."""
     try:
         return learn_residual(model, runs)
     except SoftmapError as fault:
@@ -190,7 +190,7 @@ def _shown(model: Model, run: Run, say: Callable[[str], None]) -> Run:
 
 
 def _calibrated(model: Model, runs: Sequence[Run], say: Callable[[str], None]) -> tuple[Model, Calibrated | None]:
-    """Return the model with a calibration where runs have ticks and it has none yet, from the first run that tells."""
+    """Return the model, calibrated with the first run that is enough if runs have ticks and it has none."""
     ticks = [run for run in runs if run.ticks is not None or run.present_ticks is not None]
     if model.calibration is not None or not any(run.command is None for run in ticks):
         return model, None

@@ -5,11 +5,11 @@
 What a model misses is reduced to at most MODES modes that the commands predict; their weights a(u) are radial basis
 functions of the commands that act, smoothed as much as lowers the error on what is left out
 (`sweep/scattered.py`). It knows nothing of direction, speed, orientation or load: it stands in for every static
-effect under the conditions of its run, and tells none of them apart. Points that the prior holds still stay where they
-are. A residual belongs to the effects that it was learned with: when those change it is dropped, and diagnoses take it
-out (`diagnosis/behind_residual.py`).
-Vertices laid onto clouds are whole: what was not seen stands where registration wants it (0.17 mm on two views of the
-virtual finger), and judges nothing.
+effect under the conditions of its run, and distinguishes none of them. Points that the prior holds still stay where
+they are. A residual belongs to the effects that it was learned with: when those change it is dropped, and diagnoses
+take it out (`diagnosis/behind_residual.py`).
+Vertices laid onto clouds are complete: what was not seen is placed by registration (0.17 mm on two views of the
+virtual finger), and takes no part in validation.
 Units: mm. Limits: frames in which a tracked point is hidden teach nothing; beyond the run's commands it extrapolates.
 Pinned by tests/adaptation/test_residual.py.
 """
@@ -43,10 +43,10 @@ MODES = 8  # of what is missed, at most
 PREDICTED = 0.1  # of the mean square of a mode's weights on held-out blocks: with less it is noise, and dropped
 NODES = 64  # of the radial basis functions
 ROWS, NUMBERS = 600, 40_000_000  # frames, and numbers of them (320 MB), at most that are looked at, spread evenly
-LAID_SEEN = 0.3  # share of the vertices that a cloud must show for its frame to be whole
+LAID_SEEN = 0.3  # share of the vertices that a cloud must show for its frame to be complete
 LEAST_FRAMES, LEAST_PLACES = 30, 3  # frames that show every point; different commands for each channel and one more
 APART = 60.0  # s between runs, so that none is held out with another
-LEAST_ALIKE, WORSE = 8, 1.1  # frames of a run at commands of the others, and times its error, to be told as a stranger
+LEAST_ALIKE, WORSE = 8, 1.1  # frames at commands of other runs, and times its error, to be reported
 CLOSE = 0.002  # of half the range of the commands: nearer commands are one place
 STILL = 1e-3  # of the largest motion: points of the prior that move less are held
 
@@ -56,15 +56,15 @@ def learn_residual(model: Model, run: Run | Sequence[Run]) -> tuple[Model, Docum
 
     Args:
         model: prior and effects stay as they are; an earlier residual is replaced.
-        run: one run or several, with the model's own points (vertices, or the same markers) at K >= 30 whole frames;
-            of vertices laid onto clouds those that were not seen count too, where registration wants them.
+        run: one run or several, with the model's own points (vertices, or the same markers) at K >= 30 complete frames;
+            of vertices laid onto clouds those that were not seen count too, where registration places them.
 
     Returns:
         tuple: the model with its residual, and a document with the error before and after (held out on blocks), mm RMS,
         and how many standard errors the mean fall of its square over the blocks is above 0.
 
     Raises:
-        SoftmapError: too few whole frames or different commands, points that are not the model's own.
+        SoftmapError: too few complete frames or different commands, points that are not the model's own.
     """
     base = model.with_residual(None)
     runs = list(run) if isinstance(run, Sequence) else [run]
@@ -118,7 +118,7 @@ def strangers(runs: Sequence[Missed]) -> list[str]:
 
 
 def _missed(base: Model, runs: Sequence[Run]) -> tuple[list[Missed], Floats]:
-    """Return of the whole frames of each run what is missed, and the times (S,) s of all."""
+    """Return what is missed in the complete frames of each run, and the times (S,) s of all."""
     if not runs:
         raise SoftmapError("no run is given; a residual is learned from at least one")
     each, times, end = list[Missed](), list[Floats](), 0.0
@@ -132,8 +132,8 @@ def _missed(base: Model, runs: Sequence[Run]) -> tuple[list[Missed], Floats]:
             )
         visible = known(run, seen)
         least = LAID_SEEN if laid(run) else 1.0
-        whole = np.flatnonzero(visible.mean(axis=1) >= least)
-        some = run.at(whole[np.unique(np.linspace(0, len(whole) - 1, min(len(whole), room)).astype(int))])
+        complete = np.flatnonzero(visible.mean(axis=1) >= least)
+        some = run.at(complete[np.unique(np.linspace(0, len(complete) - 1, min(len(complete), room)).astype(int))])
         if not some.frames:
             continue
         points = base.points_in_mm(some)
@@ -167,12 +167,12 @@ def _predicted(commands: Floats, taught: Floats, parts: Folds) -> int:
     """Return how many modes, at least one, there are up to the last whose weights commands predict on other blocks."""
     mean, modes = _reduced(taught, MODES)
     weights = (taught - mean) @ modes.T
-    told = np.zeros_like(weights)
+    predicted = np.zeros_like(weights)
     for train, test in parts:
         alone = _fitted_weights(commands[train], weights[train])
         alone |= {"mean": np.zeros(len(modes)), "modes": np.eye(len(modes))}
-        told[test] = family_from(alone).evaluate(commands[test])
-    kept = np.sum((weights - told) ** 2, axis=0) < (1.0 - PREDICTED) * np.sum(weights**2, axis=0)
+        predicted[test] = family_from(alone).evaluate(commands[test])
+    kept = np.sum((weights - predicted) ** 2, axis=0) < (1.0 - PREDICTED) * np.sum(weights**2, axis=0)
     return 1 + int(np.flatnonzero(kept).max(initial=0))
 
 
@@ -187,11 +187,11 @@ def _fitted_weights(commands: Floats, weights: Floats) -> Arrays:
     """Return the arrays of a scattered family, less its modes, for weights (S, m) at commands (S, C)."""
     scale = half_range(commands)
     _, first, place = np.unique(np.round(commands / scale / CLOSE), axis=0, return_index=True, return_inverse=True)
-    place, wanted = place.reshape(-1), LEAST_PLACES * (commands.shape[1] + 1)
-    if len(first) < wanted:
+    place, required = place.reshape(-1), LEAST_PLACES * (commands.shape[1] + 1)
+    if len(first) < required:
         raise SoftmapError(
             f"{len(first)} different commands are too few for a residual of {commands.shape[1]} channels; record "
-            f"at least {wanted}"
+            f"at least {required}"
         )
     count = np.bincount(place)[:, None]
     sums = np.zeros((len(first), weights.shape[1]))

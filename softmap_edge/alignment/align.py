@@ -5,7 +5,7 @@ there. From **base points**: markers fixed to the base at known places, or the c
 
     groups of frames (visits of home; stretches of time) → a robust pose each → one pose of all (`solve.py`)
 
-Units: mm; degrees in what is told. Limits: what is rigid in the robot's own rest shape (a twist, half of a pre-curve)
+Units: mm; degrees in reports. Limits: what is rigid in the robot's own rest shape (a twist, half of a pre-curve)
 is taken for the frame where only home frames are given. Pinned by tests/alignment/test_align.py over many seeds.
 """
 
@@ -49,8 +49,8 @@ def align_home(run: Run, model: Model) -> Alignment:
         run: seen in any frame, with at least two visits of home. model: of this robot.
 
     Raises:
-        AlignError: home is not visited, the points do not tell every turn, are mirrored, of other units or of another
-            robot; the message says which.
+        AlignError: home is not visited, the points do not determine every turn, are mirrored, of other units or of
+            another robot; the message says which.
     """
     seen, visible = _seen(run, model.seen_points(run))
     visits = home_visits(run, model)
@@ -62,7 +62,7 @@ def align_home(run: Run, model: Model) -> Alignment:
     groups = group(run, seen, visible, target, visits)
     form, section = _form(model, run)
     motion = None
-    if not model.markers and run.vertices is not None:  # the clamped ring says whether it is the base that moved
+    if not model.markers and run.vertices is not None:  # the clamped ring shows whether the base moved
         ring = sorted(clamped_places(run, model))
 
         def motion(pose: RigidPose) -> Moved | None:
@@ -87,9 +87,9 @@ def align_base(run: Run, places: dict[int, Floats], held: bool = False) -> Align
     """
     seen, visible = _seen(run, run.seen_points)
     base = base_markers(run)
-    whole = np.all(np.isfinite(base), axis=2)
-    seen = np.concatenate([seen, np.where(whole[..., None], base, 0.0)], axis=1)
-    visible = np.concatenate([visible, whole], axis=1)
+    complete = np.all(np.isfinite(base), axis=2)
+    seen = np.concatenate([seen, np.where(complete[..., None], base, 0.0)], axis=1)
+    visible = np.concatenate([visible, complete], axis=1)
     names = sorted(places)
     outside = [n for n in names if not 0 <= n < seen.shape[1]]
     if outside:

@@ -1,11 +1,11 @@
-"""Where the base stands in the frame of clouds: a rigid pose that all frames share, told by the body near the clamp.
+"""Where the base stands in the frame of clouds: a rigid pose that all frames share, from the body near the clamp.
 
     min Σ_k Σ_i ρ(|q_i − S_k|),  q = R p + t    p: points of cloud k near the base, S_k: the surface at u_k + Δu
 
-Near the clamp a finger hardly bends, whatever the model lacks; a base that stands elsewhere moves all of that alike.
-A command that is off by a constant bends it there too, and is fitted beside the pose. Roll and height stay as they
-are: a round body shows neither. Groups of frames say how well the others are known.
-Units: mm, rad; degrees in what is told.
+Near the clamp a finger hardly bends, whatever the model lacks; a displaced base moves all of that alike.
+A command that is off by a constant bends it there too, and is fitted with the pose. Roll and height stay as they
+are: a round body shows neither. Groups of frames give the uncertainty of the others.
+Units: mm, rad; degrees in reports.
 Limit: what the model lacks within ZONE of the clamp is taken for the frame. Pinned by tests/alignment/test_align.py.
 """
 
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 
-RIM, ZONE = 0.03, 0.25  # of the template's height: between them lies the part that tells the base
+RIM, ZONE = 0.03, 0.25  # of the template's height: between them lies the part that shows the base
 WIDER = 1.3  # times ZONE: the surface that its points are held against
 GATE = 8.0  # mm from the surface, beyond which a point is something else
 FRAMES, POINTS = 96, 400  # that are looked at, at most: frames, and points of each
@@ -39,8 +39,8 @@ LEAST = 200  # points near the base, of all frames
 GROUPS = 8
 ROUNDS, SETTLED = 30, 1e-5
 TUKEY, TO_SIGMA = 4.685, 1.4826
-TOLD = [0, 1, 3, 4]  # of turns and shifts: roll and height hardly show
-CLEAR, LEAST_OFF = 4.0, 0.2  # standard deviations, and mm at the tip, from which a base stands elsewhere
+IDENTIFIED = [0, 1, 3, 4]  # of turns and shifts: roll and height hardly show
+CLEAR, LEAST_OFF = 4.0, 0.2  # standard deviations, and mm at the tip, from which a base counts as displaced
 
 
 def align_clouds(run: Run, model: Model) -> Alignment:
@@ -85,7 +85,7 @@ def align_clouds(run: Run, model: Model) -> Alignment:
         pose = RigidPose(more, centre - more @ centre + step[3:]).after(pose)
         if np.abs(step).max() < SETTLED:
             break
-    lever = np.eye(6) / np.r_[np.full(3, reach), np.ones(3)]  # of (turn · reach, shift at the centre) to what is told
+    lever = np.eye(6) / np.r_[np.full(3, reach), np.ones(3)]  # of (turn · reach, shift at the centre) to the report
     lever[3:, :3] = jacobian(-centre[None])[0][:, :3] / reach
     sigma = np.sqrt(np.diag(lever @ found.covariance() @ lever.T)) * np.r_[np.full(3, np.degrees(1.0)), np.ones(3)]
     notes = ["roll and height hardly show in clouds of a finger's lower part, and stay as they are"]
@@ -96,7 +96,7 @@ def align_clouds(run: Run, model: Model) -> Alignment:
 
 
 def in_base(run: Run, model: Model) -> tuple[Run, Alignment | None]:
-    """Return a run of clouds in the base frame, and the pose where its base clearly stood elsewhere.
+    """Return a run of clouds in the base frame, and the pose where its base was clearly displaced.
 
     Clearly is by CLEAR standard deviations of a turn or a shift, and by LEAST_OFF mm at the tip. Other runs, and clouds
     that show too little of the base, are returned as they are.
@@ -110,7 +110,7 @@ def in_base(run: Run, model: Model) -> tuple[Run, Alignment | None]:
     turn, shift = np.abs(rotation_vector(found.pose.rotation)), np.abs(found.pose.shift)
     size = np.r_[np.degrees(turn), shift]
     moved = np.r_[turn * float(np.ptp(model.rest[:, 2])), shift]
-    clear = np.any((size > CLEAR * found.sigma)[TOLD] & (moved > LEAST_OFF)[TOLD])
+    clear = np.any((size > CLEAR * found.sigma)[IDENTIFIED] & (moved > LEAST_OFF)[IDENTIFIED])
     return (found.apply(run), found) if clear else (run, None)
 
 
@@ -149,11 +149,11 @@ class _Normal:
 
     @property
     def inverse(self) -> Floats:
-        """The inverse of the whole matrix in the directions that are told, and for commands."""
-        whole = np.zeros(self.bends.shape[1:])
-        told = np.ix_(*[[*TOLD, *range(6, len(whole))]] * 2)
-        whole[told] = np.linalg.pinv(self.bends.sum(axis=0)[told], hermitian=True)
-        return whole
+        """The inverse of the full matrix in the identified directions, and for commands."""
+        inverse = np.zeros(self.bends.shape[1:])
+        identified = np.ix_(*[[*IDENTIFIED, *range(6, len(inverse))]] * 2)
+        inverse[identified] = np.linalg.pinv(self.bends.sum(axis=0)[identified], hermitian=True)
+        return inverse
 
     def step(self) -> Floats:
         """Return the step (6,) of Gauss and Newton."""
@@ -164,8 +164,8 @@ class _Normal:
         count = len(self.pulls)
         apart = self.pulls - self.pulls.mean(axis=0)
         wander = self.inverse @ (apart.T @ apart) @ self.inverse * count / max(count - 1, 1)
-        whole = self.scatter**2 * self.inverse + student(max(count - 1, 1)) ** 2 * wander
-        return np.asarray(whole[:6, :6], np.float64)
+        covariance = self.scatter**2 * self.inverse + student(max(count - 1, 1)) ** 2 * wander
+        return np.asarray(covariance[:6, :6], np.float64)
 
 
 def _near(cloud: Floats, surface: _core.Surface, centre: Floats, reach: float, zone: tuple[float, float]) -> Floats:

@@ -100,11 +100,11 @@ def base_motion(run: Run, reference: Run | None = None) -> BaseMotion | None:
     Raises:
         AlignError: the field has another shape.
     """
-    points = _whole(base_markers(run))
+    points = _complete(base_markers(run))
     if reference is None:
         begin = points[: max(LEAST_FRAMES, len(points) // 10)]
         return _measured(points, begin.mean(axis=0), len(points)) if len(points) >= LEAST_FRAMES else None
-    other = _whole(base_markers(reference))
+    other = _complete(base_markers(reference))
     return _measured(points, other.mean(axis=0), len(other)) if len(other) >= LEAST_FRAMES else None
 
 
@@ -136,7 +136,7 @@ def _measured(points: Floats, place: Floats, count: int) -> BaseMotion | None:
 
 def kept_places(runs: Sequence[Run]) -> Document:
     """Return where the base markers of the first run were, for the `made_from` of a model; {} without any."""
-    points = _whole(base_markers(runs[0]))
+    points = _complete(base_markers(runs[0]))
     if points.shape[1] < LEAST_MARKERS or len(points) < LEAST_FRAMES:
         return {}
     return {PLACES: np.round(points.mean(axis=0), 4).tolist()}
@@ -148,7 +148,7 @@ def base_of(model: Model, run: Run, reference: Run | Sequence[Run] | None = None
         several = reference if isinstance(reference, Sequence) else [reference]
         return base_motion(run, several[0]) if len(several) == 1 else None
     place = _place(model.made_from)
-    return None if place is None else _measured(_whole(base_markers(run)), place, int(SLOW_FRAMES))
+    return None if place is None else _measured(_complete(base_markers(run)), place, int(SLOW_FRAMES))
 
 
 def bounded(layout: Layout, bases: Sequence[BaseMotion | None]) -> Layout:
@@ -201,7 +201,7 @@ def _place(made_from: Mapping[str, object]) -> Floats | None:
     return np.array(rows, float)
 
 
-def _whole(points: Floats) -> Floats:
+def _complete(points: Floats) -> Floats:
     """Return the frames that show every base marker."""
     return points[np.isfinite(points).all(axis=(1, 2))]
 

@@ -15,12 +15,12 @@ from softmap_edge.geometry.sections import UNITS
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-LINE = 0.02  # of their length: points closer than this to one line say nothing of the turn about it
+LINE = 0.02  # of their length: points closer than this to one line do not show the turn about it
 SHORTEST = 1.0  # mm: base points closer together than this are no frame
 WORST_TURN = np.radians(5.0)  # a turn known no better than this is not known
 REFUSED = 0.1  # deviation of the distances between points that is too much
 MIRRORED = 0.5  # of what is left: a mirrored frame that leaves less is the truth
-SOUND = 0.9  # of the points, those that are nearest: what a fit is judged by
+SOUND = 0.9  # of the points, those that are nearest: the measure of a fit
 SHAPE = 0.12  # of the extent: what may be left between the points and the model of the same robot
 STUDENT = (12.706, 4.303, 3.182, 2.776, 2.571, 2.447, 2.365, 2.306, 2.262, 2.228)  # 97.5 %, 1 to 10 degrees of freedom
 
@@ -88,9 +88,9 @@ def check_scale(source: Floats, target: Floats, seen: Mask, what: str, left: flo
         if len(a) > 4000:
             pick = rng.choice(len(a), 4000, replace=False)
             a, b = a[pick], b[pick]
-        wanted = np.linalg.norm(q[index[a]] - q[index[b]], axis=1)
-        far = wanted > 0.3 * wanted.max(initial=0.0)
-        ratios.append(np.linalg.norm(s[index[a]] - s[index[b]], axis=1)[far] / np.maximum(wanted[far], 1e-9))
+        distance = np.linalg.norm(q[index[a]] - q[index[b]], axis=1)
+        far = distance > 0.3 * distance.max(initial=0.0)
+        ratios.append(np.linalg.norm(s[index[a]] - s[index[b]], axis=1)[far] / np.maximum(distance[far], 1e-9))
     ratio = float(np.median(np.concatenate(ratios))) if ratios else 1.0
     unit = next((name for factor, name in UNITS.items() if abs(ratio / factor - 1.0) < REFUSED), None)
     if unit is not None:

@@ -78,13 +78,13 @@ class Moved:
 def group(run: Run, seen: Floats, visible: Mask, target: Floats, parts: Sequence[NDArray[np.int64]]) -> Groups:
     """Average each point over each group: the median of what is visible, which a frame gone wrong does not move."""
     shape = (len(parts), seen.shape[1], 3)
-    source, wanted, squares, freedom = np.zeros(shape), np.zeros(shape), 0.0, 0
+    source, targets, squares, freedom = np.zeros(shape), np.zeros(shape), 0.0, 0
     count = np.array([visible[frames].sum(axis=0) for frames in parts])
     for g, frames in enumerate(parts):
         look = np.where(visible[frames][..., None], seen[frames], np.nan)
         known = count[g] > 0
         source[g, known] = np.nanmedian(look[:, known], axis=0)
-        wanted[g, known] = np.nanmean(np.where(np.isnan(look), np.nan, target[frames])[:, known], axis=0)
+        targets[g, known] = np.nanmean(np.where(np.isnan(look), np.nan, target[frames])[:, known], axis=0)
         step = np.diff(look, axis=0)
         step = np.abs(step[np.isfinite(step)])
         if len(step):
@@ -94,7 +94,7 @@ def group(run: Run, seen: Floats, visible: Mask, target: Floats, parts: Sequence
     if run.sigma is not None:
         noise = max(noise, float(np.median(run.sigma)))
     t = np.array([[run.t_seen[frames[0]], run.t_seen[frames[-1]]] for frames in parts])
-    return Groups(source, wanted, count, t, max(noise, 1e-6))
+    return Groups(source, targets, count, t, max(noise, 1e-6))
 
 
 def small_pose(groups: Groups, g: int, weight: Floats, pose: RigidPose) -> Floats:
@@ -127,11 +127,11 @@ def base_motion(run: Run, points: Floats, known: Mask, target: Floats, far: Floa
 
 
 def find_motion(poses: Floats, noise: Floats, t: Floats, points: Floats, what: str) -> Moved | None:
-    """Tell whether groups of frames are displaced against each other.
+    """Report whether groups of frames are displaced against each other.
 
     Args:
         poses: (G, 6) small turns (rad) and shifts (mm). noise: (6, 6) covariance of one. t: (G, 2) s, first and last
-            frame of each. points: (N, 3) mm, whose farthest displacement is told. what: "the base" or "home".
+            frame of each. points: (N, 3) mm, whose farthest displacement is reported. what: "the base" or "home".
     """
     known = np.flatnonzero(np.isfinite(poses).all(axis=1))
     if len(known) < 2:
@@ -164,7 +164,7 @@ def find_motion(poses: Floats, noise: Floats, t: Floats, points: Floats, what: s
 def follow(points: Floats, known: Mask, target: Floats, noise_mm: float, pose: RigidPose) -> tuple[RigidPose, str]:
     """Return a pose for each frame, and a sentence on the noise that they add.
 
-    They are smoothed as far as the base's motion allows; frames that show too little take those beside them.
+    They are smoothed as far as the base's motion allows; frames that show too little take those of their neighbours.
 
     Args:
         points: (K, B, 3) mm, of the base. known: (K, B). target: (B, 3) mm, their places. noise_mm: of one frame.

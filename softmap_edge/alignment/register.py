@@ -3,8 +3,9 @@
 `robust` (default): from the shape of the model that is nearest to the cloud, as-rigid-as-possible about that shape,
 data from the cloud to the surface with weights that let outliers go (`rust/geometry/register.rs`). `paper`: the
 published objective, each vertex (of a model with handles, each of these) to its nearest point, from the shape at rest
-(`rust/geometry/paper.rs`). Base frame, mm. What a round finger does about its own axis no cloud tells: the roll of the
-vertices is that of the start. Pinned by tests/alignment/test_registration.py, tests/geometry/test_handles.py.
+(`rust/geometry/paper.rs`). Base frame, mm. Clouds do not show the roll of a round finger: the
+roll of the vertices is that of the start. Pinned by tests/alignment/test_registration.py,
+tests/geometry/test_handles.py.
 """
 
 from __future__ import annotations
@@ -41,7 +42,7 @@ NEAR_UNIT = 2.0  # factor between the extent of a cloud and that of the template
 POOR, LOST = 0.8, 0.5  # share of a cloud that counts: less is worth a word; less is another object
 AMID = 0.85  # of the usual share among the clouds of a run: a cloud of which less counts has seen nothing
 NEAR_COST = 0.1  # of the robust cost between two starts of different shape: closer, the wrong one may have won
-TOLD = 5  # frames with warnings that are printed
+PRINTED = 5  # frames with warnings that are printed
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +50,7 @@ class Registered:
     """A template laid onto K clouds: `vertices` (K, N, 3) mm, `support` (K, N), and a row of `frames` for each cloud.
 
     `support` is how many points of the cloud speak for a vertex, by their weights (the robust mode uses 2000 at most);
-    what has none was not seen and is where its neighbours want it. `mode` says how it was done, `warnings` what looks
+    what has none was not seen and is placed by its neighbours. `mode` names the method, `warnings` what looks
     wrong, frame by frame. Prints itself; `to_dict()` is softmap.registration/1.
     """
 
@@ -75,18 +76,18 @@ class Registered:
         }
 
     def __str__(self) -> str:
-        told = {
+        mean = {
             key: np.median([row[key] for row in self.frames]) for key in ("residual_mm", "noise_mm", "used", "visible")
         }
         lines = [
             f"Registered {len(self.frames)} clouds ({self.mode}), {1e3 * self.seconds / len(self.frames):.0f} ms each",
-            f"  median: {told['residual_mm']:.2f} mm RMS from cloud to surface, noise {told['noise_mm']:.2f} mm, "
-            f"{100 * told['used']:.0f} % of the points count, {100 * told['visible']:.0f} % of the vertices were seen",
+            f"  median: {mean['residual_mm']:.2f} mm RMS from cloud to surface, noise {mean['noise_mm']:.2f} mm, "
+            f"{100 * mean['used']:.0f} % of the points count, {100 * mean['visible']:.0f} % of the vertices were seen",
             "  not measured: roll, what a round finger does about its own axis",
         ]
         wrong = [row for row in self.frames if row["warnings"]]
-        lines += [f"  look at cloud {row['frame']}: {'; '.join(row['warnings'])}" for row in wrong[:TOLD]]
-        return "\n".join([*lines, *([f"  and {len(wrong) - TOLD} more (--json)"] if len(wrong) > TOLD else [])])
+        lines += [f"  look at cloud {row['frame']}: {'; '.join(row['warnings'])}" for row in wrong[:PRINTED]]
+        return "\n".join([*lines, *([f"  and {len(wrong) - PRINTED} more (--json)"] if len(wrong) > PRINTED else [])])
 
     def run(self, of: Run) -> Run:
         """Return the run of clouds `of` as one of vertices, with `visible`, `sigma` (mm) and the roll as not seen."""
@@ -189,7 +190,7 @@ def _robust(core: _core.Registration, model: Model, run: Run | None, clouds: lis
 
 
 def _published(core: _core.Registration, model: Model, clouds: list[Floats]) -> list[Document]:
-    """Register clouds by the published objective; handles alone ask for points, and points speak for handles alone."""
+    """Register clouds by the published objective; only handles are matched to points, and points to handles."""
     handles = np.arange(len(model.rest)) if model.handles is None else model.handles
     strength, found = np.zeros(len(model.rest)), []
     strength[handles] = PAPER_STRENGTH
@@ -208,7 +209,7 @@ def _published(core: _core.Registration, model: Model, clouds: list[Floats]) -> 
 
 
 def _row(k: int, one: Document, mode: Mode) -> Document:
-    """Return what is told of one frame: numbers, and what looks wrong."""
+    """Return the report of one frame: numbers, and what looks wrong."""
     row: Document = {
         "frame": k,
         "residual_mm": float(one["residual_mm"]),
@@ -230,18 +231,18 @@ def _row(k: int, one: Document, mode: Mode) -> Document:
 
 
 def _warnings(row: Document, one: Document) -> list[str]:
-    said = []
+    warnings = []
     if "scale" in row and abs(row["scale"] - 1.0) > SCALE:
         percent = 100.0 * (row["scale"] - 1.0)
-        said.append(
+        warnings.append(
             f"the cloud is {abs(percent):.0f} % {'larger' if percent > 0 else 'smaller'} than the template: check unit "
             "and calibration"
         )
     if row["used"] < POOR:
-        said.append(
+        warnings.append(
             f"{100 * row['used']:.0f} % of the cloud lie on the template; the rest is something else, or "
             "the start was wrong"
         )
     if row["doubtful"]:
-        said.append(f"another shape, {one['other'][1]:.0f} mm RMS away, explains the cloud nearly as well")
-    return said
+        warnings.append(f"another shape, {one['other'][1]:.0f} mm RMS away, explains the cloud nearly as well")
+    return warnings

@@ -106,13 +106,13 @@ def in_frame(run: Run, pose: RigidPose, sigma: Floats, frames: RigidPose | None 
         looking = RigidPose(run.cameras[:, :, :3], run.cameras[:, :, 3]).after(pose.inverse())
         change["cameras"] = np.concatenate([looking.rotation, looking.shift[:, :, None]], axis=2)
     before = RigidPose(np.eye(3), np.zeros(3)) if run.frame is None else RigidPose(run.frame[:, :3], run.frame[:, 3])
-    whole = pose.after(before)
-    change |= {"frame": np.column_stack([whole.rotation, whole.shift]), "frame_sigma": sigma}
+    combined = pose.after(before)
+    change |= {"frame": np.column_stack([combined.rotation, combined.shift]), "frame_sigma": sigma}
     return dataclasses.replace(run, **change)
 
 
 def base_markers(run: Run) -> Floats:
-    """Return the markers on the base (K, B, 3) mm that an import keeps beside those of the robot; B = 0 without any.
+    """Return the markers on the base (K, B, 3) mm that an import keeps; B = 0 without any.
 
     Raises:
         AlignError: the field has another shape.

@@ -4,7 +4,7 @@
     min Σ ρ(d_i),  d_i² = e_iᵀ S_i⁻¹ e_i             Huber's ρ from least squares, then Tukey's biweight, E as it was
     cov Θ = k (Σ X_iᵀ S_i⁻¹ X_i)⁻¹,  k = mean(ψ²) / mean(ψ')² n / (n − p)      of an M-estimator (Huber 1981, 7.6)
 
-A row may know some of its commands only: those that `told` marks as false weigh nothing beside their variance.
+A row may hold only some of its commands: those that `observed` marks as false have no weight.
 Units: those of u and x. Limit: beyond a third of wrong rows it fails. Pinned by tests/calibration/test_calibration.py.
 """
 
@@ -21,14 +21,14 @@ Mask = NDArray[np.bool_]
 HUBER, TUKEY, WIDER = 1.0, 4.685, 0.42  # standard deviations; more of Tukey's for each further command
 ROUNDS, SETTLED = 40, 1e-4
 TO_SIGMA = 1.4826  # of the median absolute deviation
-NO_SCATTER = 1e-9  # of the spread of the commands: exact data have no scatter to be judged by
+NO_SCATTER = 1e-9  # of the spread of the commands: exact data have no scatter of their own
 
 
 @dataclass(frozen=True, eq=False)
 class AffineFit:
     """Coefficients (C, F) and their covariance (C·F, C·F), row by row; `weight` (n,) is 0 for rows that are wrong.
 
-    `scatter` (C,) is the standard deviation of a told command about the fit.
+    `scatter` (C,) is the standard deviation of an observed command about the fit.
     """
 
     coefficients: Floats
@@ -41,7 +41,7 @@ class AffineFit:
         return np.asarray(design @ self.coefficients.T)
 
     def first(self, features: int) -> AffineFit:
-        """Return the fit of the first features alone, the others beside them as they were found."""
+        """Return the fit of the first features alone, the others as they were found."""
         cut = np.arange(self.coefficients.size).reshape(self.coefficients.shape)[:, :features].ravel()
         covariance = self.covariance[np.ix_(cut, cut)]
         return AffineFit(self.coefficients[:, :features], covariance, self.weight, self.scatter)
@@ -52,35 +52,38 @@ class AffineFit:
         return np.sqrt(np.diag(self.covariance)).reshape(self.coefficients.shape)
 
 
-def fit(design: Floats, u: Floats, covariance: Floats, told: Mask) -> AffineFit:
+def fit(design: Floats, u: Floats, covariance: Floats, observed: Mask) -> AffineFit:
     """Fit commands (n, C) as linear in a design (n, F), n > F.
 
     Args:
-        covariance: (n, C, C) of the commands. told: (n, C) which of them are known, more than F of each.
+        design: (n, F).
+        u: (n, C) commands.
+        covariance: (n, C, C) of the commands.
+        observed: (n, C) which commands are known, more than F of each.
     """
     count, features = design.shape
     size = np.maximum(np.sqrt(np.mean(design**2, axis=0)), 1e-300)
-    known = int(told.sum())
+    known = int(observed.sum())
     x, freedom = design / size, known / max(known - features * u.shape[1], 1)
-    own = np.nanmedian(np.where(told, np.einsum("ncc->nc", covariance), np.nan), axis=0)
+    own = np.nanmedian(np.where(observed, np.einsum("ncc->nc", covariance), np.nan), axis=0)
     floor = NO_SCATTER * np.maximum(np.ptp(u, axis=0), 1e-12)
     theta = np.linalg.lstsq(*_normal(x, u, _precision(floor**2, covariance)), rcond=None)[0]
     limit = TUKEY + WIDER * (u.shape[1] - 1)
     redescends = False
     for k in range(ROUNDS):
-        left = np.where(told, u - x @ theta.reshape(-1, features).T, 0.0)
+        left = np.where(observed, u - x @ theta.reshape(-1, features).T, 0.0)
         if not redescends:
-            scatter = np.maximum(_scatter(left, told, features), floor)
+            scatter = np.maximum(_scatter(left, observed, features), floor)
             precision = _precision(np.maximum(scatter**2 - own, floor**2), covariance)
         distance = np.sqrt(np.sum(left * (precision @ left[..., None])[..., 0], axis=1))
-        weight, slope = weights(distance, limit if redescends else None, told.sum(axis=1))
+        weight, slope = weights(distance, limit if redescends else None, observed.sum(axis=1))
         before = theta
         theta = np.linalg.lstsq(*_normal(x, u, weight[:, None, None] * precision), rcond=None)[0]
         settled = bool(np.abs(theta - before).max() <= SETTLED * np.abs(theta).max())
         if redescends and settled:
             break
         redescends |= settled or k == ROUNDS // 2
-    bend = float(np.mean(slope[told.any(axis=1)]))
+    bend = float(np.mean(slope[observed.any(axis=1)]))
     wide = float(np.sum((weight * distance) ** 2) / max(known, 1)) * freedom
     spread = max(1.0, wide / max(bend, 0.1) ** 2)
     inverse = np.linalg.pinv(_normal(x, u, precision)[0], hermitian=True) * spread
@@ -89,10 +92,10 @@ def fit(design: Floats, u: Floats, covariance: Floats, told: Mask) -> AffineFit:
     return AffineFit(coefficients, inverse / np.outer(scale, scale), weight, scatter)
 
 
-def _scatter(left: Floats, told: Mask, features: int) -> Floats:
-    """Return the standard deviation (C,) by the median of what is left, less the rows that a fit can make zero."""
-    own = np.sort(np.where(told, np.abs(left), np.inf), axis=0)  # those that are not told come last
-    count = told.sum(axis=0)
+def _scatter(left: Floats, observed: Mask, features: int) -> Floats:
+    """Return the standard deviation (C,) by the median of the residuals, less the rows that a fit can make zero."""
+    own = np.sort(np.where(observed, np.abs(left), np.inf), axis=0)  # those that are not observed come last
+    count = observed.sum(axis=0)
     middle = np.minimum(features + np.maximum(count - features, 1) // 2, count - 1)
     return np.asarray(TO_SIGMA * np.take_along_axis(own, middle[None], axis=0)[0])
 

@@ -1,14 +1,14 @@
 """Calibrate: which command of the model the ticks of the servos are, from a run with ticks and shapes.
 
     frames ─nearest shape─> u* (`matching.py`) ─held commands─> rows (`held.py`) ─robust fit─> u = A (ticks − home) + b
-    (`affine.py`, to start) ─fit to the shapes─> A, b, and a turn about the base's axis beside them where it tells
+    (`affine.py`, to start) ─fit to the shapes─> A, b, and a turn about the base's axis with them where the data show it
     (`map_fit.py`); what is not affine about it (`departures.py`); the error on blocks that were left out
 
-Home is given (the ticks that the bench calls so), or the place that the run dwelt at most often, its rest; of several
-that where the model acts least. Another home changes b only. Ticks are those of the encoders where the model takes
-positions and the run has them, else those commanded. Left out: commands at the end of the model's range, what hangs
-slack, frames in motion where dwells are enough, rows that do not belong (Tukey). Units: ticks, mm. Limits: what is
-constant in all shapes (a wrong frame, a wrong length) bends A and b; look at what is left of the shapes. Pinned by
+Home is given (the ticks that the rig file declares), or the place that the run dwelt at most often, its rest; of
+several that where the model acts least. Another home changes b only. Ticks are those of the encoders where the model
+takes positions and the run has them, else those commanded. Left out: commands at the end of the model's range, what
+hangs slack, frames in motion where dwells are enough, rows that do not belong (Tukey). Units: ticks, mm. Limits: what
+is constant in all shapes (a wrong frame, a wrong length) bends A and b; look at what is left of the shapes. Pinned by
 tests/calibration/test_calibration.py.
 """
 
@@ -63,7 +63,7 @@ def calibrate(
 ) -> Calibrated:
     """Find what the ticks of a run are in commands of a model.
 
-    A base that clearly stands off the frame of a run of clouds is taken out first, and told.
+    If the base clearly is away from the frame of a run of clouds, the pose is removed first and reported.
 
     Args:
         model: of this robot, without effects: they come after the calibration.
@@ -79,7 +79,7 @@ def calibrate(
     """
     recorded, run = run, held_in_ticks(run)
     found, there = _calibrated(model, run, home, window, refine), run
-    for _ in range(BASE_ROUNDS if refine else 0):  # a base that stands off bends the map, which then hides some of it
+    for _ in range(BASE_ROUNDS if refine else 0):  # a displaced base bends the map, which then hides some of it
         there, off = in_base(there, found.model)
         if off is None:
             break
@@ -87,16 +87,16 @@ def calibrate(
     if there is run or there.frame is None:
         return _named(found, recorded)
     before = RigidPose(np.eye(3), np.zeros(3)) if run.frame is None else RigidPose(run.frame[:, :3], run.frame[:, 3])
-    told = base_stood_off(RigidPose(there.frame[:, :3], there.frame[:, 3]).after(before.inverse()))
-    return _named(replace(found, warnings=[told, *found.warnings]), recorded)
+    remark = base_stood_off(RigidPose(there.frame[:, :3], there.frame[:, 3]).after(before.inverse()))
+    return _named(replace(found, warnings=[remark, *found.warnings]), recorded)
 
 
 def _named(found: Calibrated, run: Run) -> Calibrated:
     """Return a calibration that names the run by its hash as it was recorded."""
     calibration = replace(found.calibration, run=run.hash())
     made: Document = {**found.model.made_from, "calibration": run.hash()}
-    whole = replace(found.model, calibration=calibration, made_from=made)
-    return replace(found, model=whole, calibration=calibration)
+    calibrated = replace(found.model, calibration=calibration, made_from=made)
+    return replace(found, model=calibrated, calibration=calibration)
 
 
 def _calibrated(
@@ -145,8 +145,8 @@ def _calibrated(
     )
     mae = float(np.median(matches.mae_mm[seen.frame]))
     made = dict(model.made_from) | {"calibration": run.hash()}
-    whole = replace(model, calibration=calibration, made_from=made)
-    return Calibrated(whole, calibration, rows, found.weight, mae, against, notes)
+    calibrated = replace(model, calibration=calibration, made_from=made)
+    return Calibrated(calibrated, calibration, rows, found.weight, mae, against, notes)
 
 
 def _check(model: Model, run: Run) -> None:
@@ -213,16 +213,18 @@ def _doubts(model: Model, run: Run, matches: Matches) -> list[str]:
 
 
 def _check_design(held: HeldOut, edge: int, frames: int) -> None:
-    """Refuse held commands that cannot tell A and b."""
+    """Refuse held commands that cannot determine A and b."""
     channels = held.ticks.shape[1] if len(held) else 1
-    wanted = SPARE * (channels + 1)
-    told = held.observed.sum(axis=0) if len(held) else np.zeros(1, int)
-    if min(told) < wanted:
+    required = SPARE * (channels + 1)
+    observed = held.observed.sum(axis=0) if len(held) else np.zeros(1, int)
+    if min(observed) < required:
         cut = f"; {edge} of {frames} frames lie at the end of the model's range" if edge else ""
-        slack = f", of which {', '.join(map(str, told))} determine command {', '.join(map(str, range(len(told))))}"
+        slack = (
+            f", of which {', '.join(map(str, observed))} determine command {', '.join(map(str, range(len(observed))))}"
+        )
         raise CalibrationError(
-            f"{len(held)} different held commands{slack if len(held) else ''}{cut}: at least {wanted} are needed for "
-            f"{channels + 1} numbers a command; hold {2 * wanted} or more, on both sides of home, each channel alone "
+            f"{len(held)} different held commands{slack if len(held) else ''}{cut}: at least {required} are needed for "
+            f"{channels + 1} numbers a command; hold {2 * required} or more, on both sides of home, each channel alone "
             "and together"
         )
     for c in range(channels):
@@ -252,10 +254,10 @@ def _design(ticks: Floats, home: Floats) -> Floats:
 
 
 def _fit(held: HeldOut, home: Floats, columns: Floats | None = None, use: Mask | slice = slice(None)) -> AffineFit:
-    """Fit A and b to the rows `use` of held commands; `columns` (n, m) are fitted beside them."""
+    """Fit A and b to the rows `use` of held commands; `columns` (n, m) are fitted with them."""
     design = _design(held.ticks, home)
-    whole = design if columns is None else np.column_stack([design, columns])
-    return fit(whole[use], held.u[use], held.covariance[use], held.observed[use]).first(design.shape[1])
+    extended = design if columns is None else np.column_stack([design, columns])
+    return fit(extended[use], held.u[use], held.covariance[use], held.observed[use]).first(design.shape[1])
 
 
 def _held_out(
@@ -263,7 +265,7 @@ def _held_out(
 ) -> dict[str, float]:
     """Return the RMS error on blocks that were left out: of a command, and of the shape that it gives, in mm.
 
-    Beside it what the `matched` commands (n, C) themselves leave of the same shapes, which no map falls below.
+    Also return what the `matched` commands (n, C) themselves leave of the same shapes, which no map falls below.
     """
     sound, at, first = found.weight > 0, np.full(held.u.shape, np.nan), _first(held)
     count = _design(held.ticks, home).shape[1] + (0 if columns is None else columns.shape[1])
@@ -289,9 +291,9 @@ def _held_out(
         distance = np.linalg.norm(model.predict(still) - seen, axis=2)[visible]
         return float(np.sqrt(np.mean(distance**2)))
 
-    told = off[good][held.observed[good]]
+    observed = off[good][held.observed[good]]
     return {
-        "command": float(np.sqrt(np.mean(told**2))),
+        "command": float(np.sqrt(np.mean(observed**2))),
         "shape_mm": shape_error(at[order]),
         "matched_shape_mm": shape_error(matched[order]),
     }
@@ -312,7 +314,7 @@ def _blocks(run: Run, held: HeldOut) -> list[NDArray[np.bool_]]:
 
 
 def _unexplained(calibration: Calibration) -> list[str]:
-    """Say so where the map misses much that no rival explains: then its stated uncertainty is too small."""
+    """Say so where the map misses much that no alternative explains: then its stated uncertainty is too small."""
     error = calibration.held_out
     if error["shape_mm"] < UNEXPLAINED * error["matched_shape_mm"]:
         return []

@@ -1,6 +1,6 @@
-"""Where commands do not follow ticks as an affine map: bends, kinks, once a turn, and another answer on the way back.
+"""Departures of commands from an affine map of ticks: bends, kinks, once-per-turn errors, and loading-unloading memory.
 
-Each rival is the affine map with a few columns more; what it is worth is told by held commands that were left out:
+Each alternative is the affine map with a few more columns. It is tested on held commands that were left out:
 
     quadratic  r_i r_j              a bend: a spool that fills, a lever
     kink       |r_c − q|            slack, a stop, a tendon that falls loose, at one of a few ticks q
@@ -8,8 +8,8 @@ Each rival is the affine map with a few columns more; what it is worth is told b
     memory     sign of the last motion of each servo, or of each command: play, friction, hysteresis. No map has it
     turn       all shapes, about the axis of the base: found with the map (`map_fit.py`), errors in mm, size in degrees
 
-r = ticks − home. A rival counts where the error held out falls by more than WORTH and by CLEAR of its standard errors.
-Limit: what has no such form, and what is smaller than the scatter of the matches. Pinned by
+r = ticks − home. An alternative counts where the error held out falls by more than WORTH and by CLEAR of its standard
+errors. Limit: what has no such form, and what is smaller than the scatter of the matches. Pinned by
 tests/calibration/test_calibration.py.
 """
 
@@ -32,10 +32,10 @@ Mask = NDArray[np.bool_]
 PLACES = (0.2, 0.35, 0.5, 0.65, 0.8)  # quantiles of the ticks at which a kink is looked for, and home
 FOLDS = 5
 WORTH, CLEAR = 0.15, 3.0
-ALSO = 0.8  # of the gain of the best: rivals of another kind that gain so much explain it as well
-BESIDE = ("memory", "turn")  # kinds that leave the map affine: A and b are fitted beside them
-WRONG = 5.0  # standard deviations beyond which a held command is no measurement, whoever predicts it
-SPARE = 4  # held commands for each coefficient that a rival must have
+ALSO = 0.8  # of the gain of the best: alternatives of another kind that gain so much explain it as well
+FITTED_ALONGSIDE = ("memory", "turn")  # kinds that leave the map affine: A and b are fitted with them
+WRONG = 5.0  # standard deviations beyond which a held command is no measurement, by any prediction
+SPARE = 4  # held commands for each coefficient that an alternative must have
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ class Departure:
     """A way in which the map is not affine: `better` is the share by which the error held out falls.
 
     `affine` and `error` are these errors, RMS in the commands' unit; `size` the largest part that is not affine, at the
-    place `ticks` (C,). `sentence` says all that. `columns` (n, m) of the held commands are those of a memory.
+    place `ticks` (C,). `sentence` describes it. `columns` (n, m) of the held commands are those of a memory.
     """
 
     kind: str
@@ -78,7 +78,7 @@ def departures(held: HeldOut, home: Floats, unit: str) -> list[Departure]:
     found: list[tuple[float, float, float, str, str, Floats]] = []
     if base is None:
         return []
-    for kind, what, columns in _rivals(held, away):
+    for kind, what, columns in _alternatives(held, away):
         design = np.column_stack([plain, columns])
         if (
             held.observed.sum(axis=0).min() < SPARE * design.shape[1]
@@ -100,12 +100,12 @@ def departures(held: HeldOut, home: Floats, unit: str) -> list[Departure]:
     for better, before, after, kind, what, design in found:
         if kind not in best and better > ALSO * found[0][0]:
             size = float(np.sqrt(np.mean(scatter**2)))
-            best[kind] = _told(kind, what, better, size * before, size * after, design, held, away, unit)
+            best[kind] = _departure(kind, what, better, size * before, size * after, design, held, away, unit)
     return list(best.values())
 
 
-def _rivals(held: HeldOut, away: Floats) -> Iterator[tuple[str, str, Floats]]:
-    """Yield kind, words and columns (n, m) of each rival."""
+def _alternatives(held: HeldOut, away: Floats) -> Iterator[tuple[str, str, Floats]]:
+    """Yield kind, words and columns (n, m) of each alternative."""
     channels = away.shape[1]
     pairs = [(i, j) for i in range(channels) for j in range(i, channels)]
     size = np.maximum(np.ptp(away, axis=0), 1.0)
@@ -130,14 +130,14 @@ def _rivals(held: HeldOut, away: Floats) -> Iterator[tuple[str, str, Floats]]:
 
 
 def _folds(place: NDArray[np.int64]) -> list[Mask]:
-    """Return masks (n,) of the rows that are held out together: whole places, dealt out in turn."""
+    """Return masks (n,) of the rows that are held out together: complete places, dealt out in turn."""
     order = {p: k for k, p in enumerate(dict.fromkeys(place.tolist()))}
     fold = np.array([order[p] for p in place.tolist()]) % FOLDS
     return [fold == k for k in range(min(FOLDS, len(order)))]
 
 
 def _distances(design: Floats, held: HeldOut, parts: list[Mask], scatter: Floats) -> Floats | None:
-    """Return how far each row (n,) is from what the others say of it, in standard deviations of a told command.
+    """Return how far each row (n,) is from its prediction by the others, in standard deviations of an observed command.
 
     None where what is left out leaves too few to fit.
     """
@@ -152,7 +152,7 @@ def _distances(design: Floats, held: HeldOut, parts: list[Mask], scatter: Floats
     return np.asarray(np.sqrt(squares / np.maximum(held.observed.sum(axis=1), 1)))
 
 
-def _told(
+def _departure(
     kind: str,
     what: str,
     better: float,
@@ -163,7 +163,7 @@ def _told(
     away: Floats,
     unit: str,
 ) -> Departure:
-    """Say how far from affine a rival is, and where."""
+    """Describe how far from affine an alternative is, and where."""
     found: AffineFit = fit(design, held.u, held.covariance, held.observed)
     count = away.shape[1] + 1
     extra = design[:, count:] @ found.coefficients[:, count:].T

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from softmap_edge.calibration.departures import BESIDE, Departure
+from softmap_edge.calibration.departures import FITTED_ALONGSIDE, Departure
 from softmap_edge.calibration.held_out import HeldOut
 from softmap_edge.files.atomic import Document
 from softmap_edge.model.servo_calibration import Calibration
@@ -37,12 +37,12 @@ class Calibrated:
 
     @property
     def affine(self) -> bool:
-        """Whether nothing speaks against an affine map; a memory and a turn are fitted beside it."""
-        return all(one.kind in BESIDE for one in self.departures)
+        """Whether nothing speaks against an affine map; a memory and a turn are fitted with it."""
+        return all(one.kind in FITTED_ALONGSIDE for one in self.departures)
 
     @property
     def left(self) -> Floats:
-        """What the map leaves of the matched commands (n, C); NaN where a command was not told."""
+        """What the map leaves of the matched commands (n, C); NaN where a command was not observed."""
         return np.where(self.held.observed, self.held.u - self.calibration.commands(self.held.ticks), np.nan)
 
     def to_dict(self) -> Document:

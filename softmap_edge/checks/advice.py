@@ -28,7 +28,7 @@ from softmap_edge.run.run import HOME_TICKS, Run, known
 Floats = NDArray[np.float64]
 
 ENOUGH_FRAMES = 60  # fewer hide small effects
-ENOUGH_VISITS = 3  # home at the start, at the end and in between: what drift and noise can be told apart with
+ENOUGH_VISITS = 3  # home at the start, at the end and in between: needed to separate drift from noise
 MOVING = 15  # frames seen in motion, below which delays are guessed
 SLOW = 0.1  # of the range a second: a tenth of a second of delay is then a hundredth of it
 SPEEDS = 2.0  # ratio of fast to slow below which delay and play look alike
@@ -37,8 +37,8 @@ GAP_SAMPLES, GAP_S = 10.0, 1.0  # usual steps, and s, beyond which nothing was s
 MINORITY = 0.1  # of the frames reached from the rarer side
 TOGETHER = 0.95  # correlation from which two channels are one
 PAIRS = 4  # of such channels that are named
-DWELL_FRAMES = LONG_DWELL + 2  # in three dwells they tell the noise (`noise.ENOUGH`)
-BESIDE = 0.02  # of their length: markers nearer to one line than this show no twist
+DWELL_FRAMES = LONG_DWELL + 2  # in three dwells they show the noise (`noise.ENOUGH`)
+COLLINEAR = 0.02  # of their length: markers nearer to one line than this show no twist
 
 
 @dataclass(frozen=True)
@@ -210,12 +210,12 @@ def _points(run: Run) -> Iterator[Advice]:
         return
     rest = run.marker_rest
     if rest is None:
-        whole = np.flatnonzero(known(run, seen).all(axis=1))
-        if not len(whole):
+        complete = np.flatnonzero(known(run, seen).all(axis=1))
+        if not len(complete):
             return
-        rest = seen[whole[0]]
+        rest = seen[complete[0]]
     size = np.linalg.svd(rest - rest.mean(axis=0), compute_uv=False)
-    if len(size) < 2 or size[1] < BESIDE * size[0]:
+    if len(size) < 2 or size[1] < COLLINEAR * size[0]:
         text = "a twist, and turns of the base about the robot's axis: the markers lie on one line"
         yield Advice("markers", False, text, "glue a marker or two next to the line, 10 mm or more", None)
 

@@ -56,7 +56,7 @@ TIMES = 1000  # at which a shift of the clocks is tried
 HELD, END, LEAST_HELD = 0.05, 0.02, 4  # of the frames at extreme commands, and at one of them, that may be clipped
 STEP = 0.02  # of the range of a command over which slopes are taken
 GOES_ON = 0.05  # of the range, standard deviation, by which a clipped command goes on
-MORE = 1.2  # times the scatter while it is not held, beside what is linear in the command: else the model is that wrong
+MORE = 1.2  # times the scatter while it is not held, less what is linear in the command: else the model is that wrong
 SEEN = 0.3  # of what a step of the command usually moves, below which a frame says nothing about the command
 AS_FAST = 0.4  # of that variance that is left at most where a command goes on as fast as it came
 
@@ -137,16 +137,16 @@ def not_following(seen: Floats, visible: Mask, expected: Floats, fitted: Floats,
         fitted: points (K, N, 3) mm of the model with what was found, which may be a dead zone of the full range.
         length: of the body, mm.
     """
-    wanted = spread(expected, visible)
-    if wanted < MOTION * length:
+    required = spread(expected, visible)
+    if required < MOTION * length:
         return None
     moved, answer = centred(seen, visible), centred(expected, visible)
     along = float(np.sum(moved * answer)) / max(float(np.sum(answer**2)), 1e-300)
     got = spread(seen, visible)
-    if abs(along) > ALONG or min(got, spread(fitted, visible)) > STILL * wanted:
+    if abs(along) > ALONG or min(got, spread(fitted, visible)) > STILL * required:
         return None
     return (
-        f"The robot does not follow its commands: they should move its points by {wanted:.3g} mm RMS, and the points "
+        f"The robot does not follow its commands: they should move its points by {required:.3g} mm RMS, and the points "
         f"move by {got:.2g} mm RMS, of which {100 * abs(along):.1f} % follow the commands. No effect is named. Check "
         "that the drive is engaged (power, torque, tendons attached), and that the frames are of this recording."
     )
@@ -198,9 +198,9 @@ def _in_place(model: Model, run: Run, rest: Floats, seen: Floats, visible: Mask,
     """The frame of the points is right-handed, and the base stands where a fit can find it."""
     weight = visible.astype(float)
     middle = (seen * weight[..., None]).sum(axis=1) / np.maximum(weight.sum(axis=1), 1.0)[:, None]
-    whole = visible.all(axis=1)
-    if whole.any() and len(rest) >= 4:
-        about = seen[whole] - middle[whole][:, None]
+    complete = visible.all(axis=1)
+    if complete.any() and len(rest) >= 4:
+        about = seen[complete] - middle[complete][:, None]
         still = rest - rest.mean(axis=0)
         mixed = np.einsum("kni,nj->kij", about, still)
         strength, sign = np.linalg.svd(mixed, compute_uv=False), np.sign(np.linalg.det(mixed))
@@ -243,7 +243,7 @@ def _opposite(model: Model, run: Run) -> Floats:
 
 
 def _at_the_clamp(model: Model, rest: Floats, seen: Floats, visible: Mask, predicted: Floats) -> None:
-    """Where the body is held nothing moves it: points that stand elsewhere there are in another frame of reference."""
+    """Where the body is held nothing moves it: points that stand at another place are in another frame of reference."""
     length = float(np.linalg.norm(model.rest, axis=1).max())
     there = visible & (np.linalg.norm(rest, axis=1) <= CLAMPED * length)
     frames = there.any(axis=1)
@@ -357,13 +357,13 @@ def _held(model: Model, run: Run, left: Floats, visible: Mask) -> list[str]:
         late = np.stack([np.ones(len(rows)), np.log1p(dwell[rows])], axis=1)
         wave = np.minimum(_further(run.t, sign * u[:, c], free, run.t_seen[rows]) / span[c], on.max())
         as_fast = np.std(on) > GOES_ON / 2 and np.var(on - wave) < AS_FAST * np.var(on)
-        if not as_fast and not np.std(_beside(late, on)) > GOES_ON:
+        if not as_fast and not np.std(_unexplained(late, on)) > GOES_ON:
             continue
         others = np.flatnonzero(np.abs(at - at[rows[0]])[:, c] > near)
         others = others[np.unique(np.linspace(0, len(others) - 1, min(len(others), FRAMES)).astype(int))]
         usual, strength = _goes_on(model, run, left, visible, others, c, step)
         some = strength > SEEN * np.median(strength)  # a command that hardly moves anything would be off by anything
-        usual = STEP * _beside(np.stack([np.ones(len(others)), at[others, c]], axis=1)[some], usual[some])
+        usual = STEP * _unexplained(np.stack([np.ones(len(others)), at[others, c]], axis=1)[some], usual[some])
         if np.std(on) > MORE * np.std(usual):
             found.append(f"{sign * end:.4g} {model.command_unit} on channel {c}")
             frames[rows], furthest = True, max(furthest, float(on.max() * span[c]))
@@ -403,7 +403,7 @@ def _goes_on(
     return np.asarray(along / np.maximum(square, 1e-12)), np.asarray(np.sqrt(square))
 
 
-def _beside(columns: Floats, values: Floats) -> Floats:
+def _unexplained(columns: Floats, values: Floats) -> Floats:
     """Return what columns (n, m) leave of values (n,)."""
     return np.asarray(values - columns @ np.linalg.lstsq(columns, values, rcond=None)[0])
 

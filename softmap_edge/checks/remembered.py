@@ -73,10 +73,10 @@ def catches_up(begins: list[tuple[int, int, int]], seen: Floats, visible: Mask, 
         predicted: predicted points (K, N, 3) mm.
         visible: (K, N).
     """
-    whole = last = 0.0
+    total = last = 0.0
     for first, repeated, after in begins:
         both = visible[first] & visible[after]
         jump = (seen[after] - seen[first])[both]
-        whole += float(np.sum((jump - (predicted[after] - predicted[first])[both]) ** 2))
+        total += float(np.sum((jump - (predicted[after] - predicted[first])[both]) ** 2))
         last += float(np.sum((jump - (predicted[after] - predicted[repeated])[both]) ** 2))
-    return whole < CAUGHT * last
+    return total < CAUGHT * last

@@ -1,4 +1,4 @@
-"""What a run holds and what it can therefore not tell, as one plain dictionary: the content of `softmap check`.
+"""Summarise what a run holds and what it cannot identify, as one dictionary: the content of `softmap check`.
 
 Dwells are those of `conditions`; a place is visited again when every channel is within 2 % of its range
 (servo resolution is 10 times finer, so two visits of one command are always found and two commands of a
@@ -126,10 +126,10 @@ def sentences(document: Document) -> list[str]:
         lines.append(f"          and {d['base_markers']} markers on the base (`softmap run align --base b0 b1 …`)")
     visits = d["home_visits"] if d.get("home_known", True) else "not known"
     lines.append(f"repeats   visits of home: {visits}, other places visited again: {d['places_revisited']}")
-    told = [f"gravity {d['gravity']}"] if d["gravity"] else []
-    told += [f"{name} {_span(d[key])} {u}" for name, key, u in _TOLD if d[key] is not None]
-    told += ["encoder positions"] if d["encoders"] else []
-    lines.append(f"declared  {', '.join(told) or 'nothing'}")
+    declared = [f"gravity {d['gravity']}"] if d["gravity"] else []
+    declared += [f"{name} {_span(d[key])} {u}" for name, key, u in _DECLARED if d[key] is not None]
+    declared += ["encoder positions"] if d["encoders"] else []
+    lines.append(f"declared  {', '.join(declared) or 'nothing'}")
     if d["blocks"]:
         lines.append(f"blocks    {len(d['blocks'])}: {', '.join(d['blocks'][:8])}{' …' * (len(d['blocks']) > 8)}")
     if d["unknown_fields"]:
@@ -138,7 +138,7 @@ def sentences(document: Document) -> list[str]:
     lines += [line for text in d["missing"] for line in _hung("missing", text)]
     lines += [line for text in d["warnings"] for line in _hung("look at", text)]
     lines += [line for one in d["collinear"] for line in _hung("alike", one["text"])]
-    known_to = [] if d.get("unanswered") else d["can_tell"]  # such a run can tell nothing of its drive
+    known_to = [] if d.get("unanswered") else d["can_tell"]  # such a run shows nothing of its drive
     return lines + advice_lines([Advice(**word) for word in [*known_to, *d["cannot_tell"]]])
 
 
@@ -146,7 +146,7 @@ def _hung(name: str, text: str) -> list[str]:
     return folded(f"{name:<10}{text}", 0, 10)
 
 
-_TOLD = (("load", "load_g", "g"), ("temperature", "temperature_c", "°C"))
+_DECLARED = (("load", "load_g", "g"), ("temperature", "temperature_c", "°C"))
 
 
 def _span(pair: list[float]) -> str:
@@ -210,7 +210,7 @@ def _visits(run: Run) -> dict[str, int]:
         return none
     state = conditions(run, rows)
     top = np.abs(rows).max()
-    away = run.t[np.abs(rows).max(axis=1) > HOME * top]  # s, when the command was elsewhere
+    away = run.t[np.abs(rows).max(axis=1) > HOME * top]  # s, when the command was at another place
     home, places, since = 0, list[tuple[int, ...]](), -np.inf
     for visit in np.unique(state.visit[state.visit >= 0]):
         frames = state.visit == visit
@@ -258,7 +258,7 @@ def _warnings(run: Run) -> list[str]:
     for name in ("t", "t_seen"):
         step = np.diff(getattr(run, name))
         if name == "t_seen" and run.gravity is not None and run.gravity.ndim == 2:
-            # While a hand turns the robot nobody looks.
+            # While a hand turns the robot, frames do not count.
             lie = np.asarray(run.gravity)[np.clip(np.searchsorted(run.t, run.t_seen), 0, len(run.t) - 1)]
             step = np.where((lie[1:] == lie[:-1]).all(axis=1), step, 0.0)
         if len(step) > 2 and step.max() > 10 * np.median(step):

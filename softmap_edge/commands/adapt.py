@@ -67,5 +67,5 @@ def adapt(args: AdaptOptions) -> int:
         kind = "fitted" if held_out is None else "held out"
         left_out = "" if found.model.residual is not None else "; the residual is left out of the bundle"
         ways = found.error, found.error_on + left_out
-        write_page(args.html, found.judge, found.before, found.model, found.diagnosis, kind, ways)
+        write_page(args.html, found.validation, found.before, found.model, found.diagnosis, kind, ways)
     return 0 if found.fall > 0.0 else WORSE

@@ -84,11 +84,16 @@ class Trial:
 def trial(
     model: Model, truth: Truth, say: Callable[[str], None] = lambda text: None, judge: Protocol | None = None
 ) -> Trial:
-    """Measure `truth` by the standard protocol, diagnose, and judge on a run of another kind.
+    """Measure `truth` by the standard protocol, diagnose, and validate on a run of another kind.
 
-    Args: `model` of the first finger; `truth`, the second one; `say` is told what goes on; `judge`, the run of another
-    kind (`other_protocol`).
-    Returns the trial. The run of another kind is shown to the comparison only, never to the diagnosis.
+    Args:
+        model: of the first finger.
+        truth: the second finger.
+        say: receives lines on progress.
+        judge: the validation run (`other_protocol`); the diagnosis never gets it.
+
+    Returns:
+        Trial: the runs, and what was found.
     """
     protocol, judge = standard_protocol(model.channels), judge or other_protocol(model.channels)
     say(f"Measuring the second finger: {protocol.frames} frames in {protocol.t[-1] / 60:.0f} minutes of finger time …")

@@ -116,8 +116,8 @@ def next(args: NextOptions) -> int:
     elif made is None:
         lines += ["Nothing is open, so there is nothing to record."]
     if made is not None:
-        told = f", to settle {', '.join(settles)}" if settles else ""
-        lines += [f"{made.name}: {made.minutes:.1f} minutes, {made.frames} frames{told}"]
+        reason = f", to settle {', '.join(settles)}" if settles else ""
+        lines += [f"{made.name}: {made.minutes:.1f} minutes, {made.frames} frames{reason}"]
         lines += [f"  at {step}" for step in steps(made.notes)]
         lines += [BOTH.format(times * made.minutes)] if times > 1 else []
     if made is not None and args.out:

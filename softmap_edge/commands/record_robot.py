@@ -117,19 +117,19 @@ def recover(args: RecordOptions, seen_file: Path) -> int:
     model = open_model(args.bundle)
     made = _commands(args, model)
     file = Path(args.record) if args.record else seen_file.with_suffix(LOOP)
-    played, told = read_kept(seen_file), read_recording(file)
-    if told.doubtful:
-        raise SoftmapError(f"{told.incomplete}; copy it again")
-    if told.incomplete is not None and told.short != CUT:
-        warnings.warn(RecordingWarning(told.incomplete), stacklevel=2)
+    played, recorded = read_kept(seen_file), read_recording(file)
+    if recorded.doubtful:
+        raise SoftmapError(f"{recorded.incomplete}; copy it again")
+    if recorded.incomplete is not None and recorded.short != CUT:
+        warnings.warn(RecordingWarning(recorded.incomplete), stacklevel=2)
     if not played.taken:
         raise SoftmapError(f"{seen_file}: no frame was taken before it was cut; record again")
-    run = merged(file, model, pace(made, told.calibration, told.limits["servos"]), played)
+    run = merged(file, model, pace(made, recorded.calibration, recorded.limits["servos"]), played)
     run.save(args.out)
     document = _document(args, run, made) | {"emulated": None, "whole": False, "recovered": args.recover}
     document |= {"lacks": played.lacks}
     said = f"{run}\n{run.frames} of {made.frames} frames; written to {args.out}"
-    said = "\n".join([said, *filter(None, [told.incomplete if told.short == CUT else None, played.lacks])])
+    said = "\n".join([said, *filter(None, [recorded.incomplete if recorded.short == CUT else None, played.lacks])])
     print(json.dumps(document, ensure_ascii=False) if args.json else said)
     return 0
 
@@ -275,15 +275,16 @@ def _ahead(args: RecordOptions, paced: Pace) -> str:
     )
 
 
-def _said(args: RecordOptions, run: object, told: dict[str, Any]) -> str:
+def _said(args: RecordOptions, run: object, summary: dict[str, Any]) -> str:
     lines = [
         f"{run}",
-        f"{told['frames']} of {told['wanted']} frames in {told['minutes']:.1f} minutes, {told['settling_s']:g} s to "
-        f"settle; written to {args.out}" + ("" if told["whole"] else "; it was cut short"),
+        f"{summary['frames']} of {summary['wanted']} frames in {summary['minutes']:.1f} minutes, "
+        f"{summary['settling_s']:g} s to settle; written to {args.out}"
+        + ("" if summary["whole"] else "; it was cut short"),
     ]
-    if told["unsettled"]:
-        lines.append(f"{told['unsettled']} rests went on before all was still: the body creeps, or the servos hum")
-    lines += [f"{told[name]}: written" for name in ("record", "bundle") if told[name]]
+    if summary["unsettled"]:
+        lines.append(f"{summary['unsettled']} rests went on before all was still: the body creeps, or the servos hum")
+    lines += [f"{summary[name]}: written" for name in ("record", "bundle") if summary[name]]
     bundle = args.calibrated or args.bundle
     if bundle:
         lines.append(f"next: softmap diagnose {shlex.quote(args.out)} --bundle {shlex.quote(bundle)}")

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from softmap_edge.alignment.clouds import read_clouds
-from softmap_edge.alignment.register import TOLD
+from softmap_edge.alignment.register import PRINTED
 from softmap_edge.alignment.register import register as lay
 from softmap_edge.commands.output import check_file, check_no_run
 from softmap_edge.commands.own import effects_argument, load_own, open_model
@@ -57,13 +57,13 @@ def register(args: RegisterOptions) -> int:
     try:
         found = lay(model, run, args.mode)
     except RegistrationError as fault:  # a guess of columns may be the reason
-        raise RegistrationError("; ".join([str(fault), *notes[:TOLD]])) from None
+        raise RegistrationError("; ".join([str(fault), *notes[:PRINTED]])) from None
     vertices = found.run(run)
     vertices.save(args.out)
     if args.json:
         print(json.dumps(found.to_dict() | {"notes": notes, "out": args.out, "hash": vertices.hash()}))
     else:
-        lines = [f"  look at: {note}" for note in notes[:TOLD]]
-        lines += [f"  and {len(notes) - TOLD} more such files (--json)"] if len(notes) > TOLD else []
+        lines = [f"  look at: {note}" for note in notes[:PRINTED]]
+        lines += [f"  and {len(notes) - PRINTED} more such files (--json)"] if len(notes) > PRINTED else []
         print("\n".join([str(found), *lines, f"written to {args.out}"]))
     return POOR if any(row["warnings"] for row in found.frames) else 0

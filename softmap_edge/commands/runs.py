@@ -263,10 +263,10 @@ def _bundle_lines(document: dict[str, Any]) -> list[str]:
     if found := document.get("calibration"):
         shown["calibration"] = {key: found[key] for key in ("A", "b", "home", "condition")}
     lines = [f"{key:<18} {_plain(value)}" for key, value in shown.items()]
-    for name, told in document.get("through_onnxruntime", {}).items():
+    for name, found in document.get("through_onnxruntime", {}).items():
         lines.append(
             f"{'onnxruntime':<18} the {name} is a table of what onnxruntime makes of its graph, "
-            f"{told['table_off_mm']:.2g} mm off between the nodes (RMS): {told['why']}"
+            f"{found['table_off_mm']:.2g} mm off between the nodes (RMS): {found['why']}"
         )
     for name, apart in document.get("differs_from_onnxruntime_mm", {}).items():
         compared = "not compared, onnxruntime is not installed" if apart is None else f"differs by {apart:.1g} mm"

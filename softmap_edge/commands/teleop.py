@@ -163,7 +163,7 @@ def _drive(args: TeleopOptions) -> int:
             stays=page is not None, show=show, say=to_stderr,
         )  # fmt: skip
         account = drive.run(args.seconds)
-    told = {
+    summary = {
         "robot": model.robot,
         "camera": eyes.name,
         "aim": "tip" if args.tip else "direct",
@@ -175,7 +175,7 @@ def _drive(args: TeleopOptions) -> int:
         "command_age_us": robot.ended.get("command_age_us"),
         "record": args.record if robot.unrecorded is None else None,
     }
-    _print(args, told, _text(told))
+    _print(args, summary, _text(summary))
     robot.check_recorded()
     return FAULT if account.failed else DONE
 
@@ -209,8 +209,8 @@ def _send(args: TeleopOptions, target: str) -> int:
         if keys is not None:
             to_stderr("hold Space to drive, q ends")
         sent = send(eyes, sender, keys, args.seconds, to_stderr)
-    told = {"camera": eyes.name, "pictures": eyes.taken, "hands": eyes.hands, **sent.to_dict()}
-    _print(args, told, f"{eyes.taken} pictures, {eyes.hands} with a hand, {sent.sent} sent; {sent.ended}")
+    summary = {"camera": eyes.name, "pictures": eyes.taken, "hands": eyes.hands, **sent.to_dict()}
+    _print(args, summary, f"{eyes.taken} pictures, {eyes.hands} with a hand, {sent.sent} sent; {sent.ended}")
     return FAULT if sent.failed else DONE
 
 
@@ -242,23 +242,23 @@ def _flips(text: str) -> tuple[bool, bool]:
     return "x" in named, "y" in named
 
 
-def _print(args: TeleopOptions, told: dict[str, Any], text: str) -> None:
-    print(json.dumps({"schema": "softmap.teleop/1", **told}) if args.json else text)
+def _print(args: TeleopOptions, summary: dict[str, Any], text: str) -> None:
+    print(json.dumps({"schema": "softmap.teleop/1", **summary}) if args.json else text)
 
 
-def _text(told: dict[str, Any]) -> str:
-    lines = [f"driven for {told['driving_s']:.1f} s in {told['presses']} presses; ended: {told['ended']}"]
-    if told["pictures"]:
-        late = told["latency_ms"]
-        lines.append(f"{told['pictures']} pictures, {told['hands']} with a hand" + (
+def _text(summary: dict[str, Any]) -> str:
+    lines = [f"driven for {summary['driving_s']:.1f} s in {summary['presses']} presses; ended: {summary['ended']}"]
+    if summary["pictures"]:
+        late = summary["latency_ms"]
+        lines.append(f"{summary['pictures']} pictures, {summary['hands']} with a hand" + (
             ", {median:.0f} ms from picture to command (median; 95 %: {p95:.0f})".format(**late) if late else ""
         ))  # fmt: skip
-    if told["refused"]:
-        lines.append(dropped_words(told["refused"]))
-    if told["busy_s"] > LONG:
-        lines.append(f"{BUSY}: the simulated robot stood still for {told['busy_s']:.1f} s in all")
-    lines += [f"driving ended {count} times: {why}" for why, count in told["lost"].items()]
-    lines.append("states: " + ", ".join(f"{state} {seconds:.1f} s" for state, seconds in told["states_s"].items()))
-    if told["record"]:
-        lines.append(f"{told['record']}: written")
+    if summary["refused"]:
+        lines.append(dropped_words(summary["refused"]))
+    if summary["busy_s"] > LONG:
+        lines.append(f"{BUSY}: the simulated robot stood still for {summary['busy_s']:.1f} s in all")
+    lines += [f"driving ended {count} times: {why}" for why, count in summary["lost"].items()]
+    lines.append("states: " + ", ".join(f"{state} {seconds:.1f} s" for state, seconds in summary["states_s"].items()))
+    if summary["record"]:
+        lines.append(f"{summary['record']}: written")
     return "\n".join(lines)

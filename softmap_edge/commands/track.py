@@ -228,47 +228,47 @@ def _document(args: TrackOptions, kinematics: Kinematics, planned: Course, track
     }
 
 
-def _text(told: dict[str, Any]) -> str:
+def _text(summary: dict[str, Any]) -> str:
     def numbers(name: str) -> str:
-        return "{mean:.2f} ± {sd:.2f} mm, at most {max:.2f} mm, {n} times".format(**told[name])
+        return "{mean:.2f} ± {sd:.2f} mm, at most {max:.2f} mm, {n} times".format(**summary[name])
 
     lines = [
-        f"{told['figure']}: {told['waypoints']} waypoints in {told['seconds']:.1f} s, {told['quickest_s']:.1f} s at "
-        f"least; effects compensated: {', '.join(told['effects']) or 'none'}"
-        + (f"; not compensated: {', '.join(told['left'])}" if told["left"] else "")
+        f"{summary['figure']}: {summary['waypoints']} waypoints in {summary['seconds']:.1f} s, "
+        f"{summary['quickest_s']:.1f} s at least; effects compensated: {', '.join(summary['effects']) or 'none'}"
+        + (f"; not compensated: {', '.join(summary['left'])}" if summary["left"] else "")
     ]
-    if told["quickest_s"] > told["asked_s"]:
-        lines.append(f"{told['asked_s']:g} s were asked for: slew and acceleration of the servos take longer")
-    if told["unreachable_mm"] > 0.01:
+    if summary["quickest_s"] > summary["asked_s"]:
+        lines.append(f"{summary['asked_s']:g} s were asked for: slew and acceleration of the servos take longer")
+    if summary["unreachable_mm"] > 0.01:
         lines.append(
-            f"part of it is out of reach, by up to {told['unreachable_mm']:.2f} mm: the nearest points are taken"
+            f"part of it is out of reach, by up to {summary['unreachable_mm']:.2f} mm: the nearest points are taken"
         )
     lines.append(f"the model expects the tip off by {numbers('expected_mm')}")
-    if told["servos_s"]:
+    if summary["servos_s"]:
         lines.append(
-            "servos answer {delay:.3f} s late, with a lag of {lag:.3f} s: previewed".format(**told["servos_s"])
+            "servos answer {delay:.3f} s late, with a lag of {lag:.3f} s: previewed".format(**summary["servos_s"])
         )
-    elif told["driven"]:
+    elif summary["driven"]:
         lines.append("how late the servos answer could not be measured: nothing of it was previewed")
-    if told["seen_mm"]:
+    if summary["seen_mm"]:
         lines.append(f"the camera saw it off by {numbers('seen_mm')}")
-        if told["hidden"] == [] and told["effects"]:
+        if summary["hidden"] == [] and summary["effects"]:
             lines.append(
-                f"the emulated finger hides nothing, so undoing {', '.join(told['effects'])} leads it astray; --hide "
-                "NAMES lets it hide something, --no-effects undoes nothing"
+                f"the emulated finger has no hidden effect, so compensating {', '.join(summary['effects'])} makes "
+                "tracking worse; --hide NAMES injects effects, --no-effects compensates none"
             )
-        if told["unseen_s"]:
-            fed = ", and nothing was fed back then" if told["observed"] else ""
-            lines.append(f"the tip was not seen for {told['unseen_s']:.1f} s of it{fed}")
-    elif told["driven"]:
+        if summary["unseen_s"]:
+            fed = ", and nothing was fed back then" if summary["observed"] else ""
+            lines.append(f"the tip was not seen for {summary['unseen_s']:.1f} s of it{fed}")
+    elif summary["driven"]:
         lines.append("no camera: how far off it really was is not known")
-    lines += [f"{told[name]}: written" for name in ("record", "seen", "picture") if told[name]]
-    if told["seen"]:
-        bundle = f" --bundle {shlex.quote(told['bundle'])}" if told["bundle"] else ""
-        frames = told["seen_mm"]["n"] if told["seen_mm"] else 0
+    lines += [f"{summary[name]}: written" for name in ("record", "seen", "picture") if summary[name]]
+    if summary["seen"]:
+        bundle = f" --bundle {shlex.quote(summary['bundle'])}" if summary["bundle"] else ""
+        frames = summary["seen_mm"]["n"] if summary["seen_mm"] else 0
         if frames < LEAST_WITHHOLDING:  # a diagnosis would have nothing to validate on
             lines.append(f"{frames} frames are too few for a diagnosis, which needs {LEAST_WITHHOLDING} or more")
             lines.append(f"next: softmap next --standard{bundle} --out next.csv")
         else:
-            lines.append(f"next: softmap diagnose {shlex.quote(told['record'])}{bundle}")
+            lines.append(f"next: softmap diagnose {shlex.quote(summary['record'])}{bundle}")
     return "\n".join(lines)

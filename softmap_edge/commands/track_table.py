@@ -84,20 +84,20 @@ def workspace(args: TrackOptions, kinematics: Kinematics) -> int:
     return 0
 
 
-def _text(told: dict[str, Any]) -> str:
+def _text(summary: dict[str, Any]) -> str:
     def point(numbers: list[float]) -> str:
         return "(" + ", ".join(f"{v:.2f}" for v in numbers) + ")"
 
-    reach = ", ".join(f"{axis} {low:.1f} to {high:.1f}" for axis, (low, high) in told["range_mm"].items())
-    lines = [f"the tip rests at {point(told['rest_mm'])} mm and reaches {reach} mm"]
-    if target := told["target"]:
-        where = f"{point(target['target_mm'])} mm, along {told['axes']}"
+    reach = ", ".join(f"{axis} {low:.1f} to {high:.1f}" for axis, (low, high) in summary["range_mm"].items())
+    lines = [f"the tip rests at {point(summary['rest_mm'])} mm and reaches {reach} mm"]
+    if target := summary["target"]:
+        where = f"{point(target['target_mm'])} mm, along {summary['axes']}"
         if target["reached"]:
-            unit = told["command_unit"]
+            unit = summary["command_unit"]
             lines.append(f"{where}: within reach, where {point(target[f'acting_{unit}'])} {unit} acts")
         else:
             lines.append(
                 f"{where}: out of reach by {target['distance_mm']:.2f} mm; nearest is {point(target['nearest_mm'])} mm"
             )
-    lines += [f"{told['picture']}: written"] if told["picture"] else []
+    lines += [f"{summary['picture']}: written"] if summary["picture"] else []
     return "\n".join(lines)

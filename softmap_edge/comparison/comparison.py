@@ -285,8 +285,8 @@ def _worst(where: dict[str, list[Bin]], squared: Floats, visible: Mask, run: Run
 
 def template(model: Model, seen: Floats) -> Floats | None:
     """The template at rest (N, 3), if the seen points are its vertices."""
-    whole = not model.markers and len(model.rest) == seen.shape[1]
-    return np.asarray(model.rest, float) if whole else None
+    complete = not model.markers and len(model.rest) == seen.shape[1]
+    return np.asarray(model.rest, float) if complete else None
 
 
 def _model_digest(model: Model) -> str:

@@ -52,8 +52,8 @@ class LiveError:
 
     def to_dict(self) -> Document:
         """Return it as a document softmap.live/1."""
-        told = {name: value for name, value in vars(self).items()}
-        plain = {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in told.items()}
+        values = {name: value for name, value in vars(self).items()}
+        plain = {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in values.items()}
         return {"schema": SCHEMA, **plain, "recent_s": RECENT}
 
     def __str__(self) -> str:
@@ -222,11 +222,11 @@ def _advancing(model: Model) -> Callable[[Floats, Floats], Floats]:
         acting, state = chain.advance(params, np.ascontiguousarray(u), t, gravity(t), state=state)
         return np.asarray(acting[0])
 
-    def anew(u: Floats, t: Floats) -> Floats:
+    def roll_out(u: Floats, t: Floats) -> Floats:
         nonlocal before_u, before_t
         before_u, before_t = np.concatenate([before_u, u]), np.concatenate([before_t, t])
         return np.asarray(chain.rollout(params, before_u, before_t, gravity(before_t))[0, -len(t) :])
 
     if not model.chain_names:
         return lambda u, t: u
-    return anew if own else advanced
+    return roll_out if own else advanced

@@ -1,6 +1,6 @@
 """What the pictures of a report need of a run: errors over time, over the body, over commands, and some poses.
 
-Nothing is judged here; `comparison.py` has the figures. Units: mm, s. Pinned by tests/comparison/test_compare.py.
+Nothing is evaluated here; `comparison.py` has the figures. Units: mm, s. Pinned by tests/comparison/test_compare.py.
 """
 
 from __future__ import annotations
@@ -202,9 +202,9 @@ def _drawn(model: Model, seen: Floats, visible: Mask) -> tuple[Floats, NDArray[n
 def _poses(command: Floats, seen: Floats, visible: Mask, before: Floats, after: Floats | None) -> list[ExamplePose]:
     """Return frames whose commands lie far apart, of those in which most is seen; squares (K, N) mm² become errors."""
     count = visible.sum(axis=1)
-    whole = np.flatnonzero(count >= 0.9 * count.max())
+    complete = np.flatnonzero(count >= 0.9 * count.max())
     span = np.ptp(command, axis=0)
-    place = command[whole] / np.where(span > 0, span, np.inf)
+    place = command[complete] / np.where(span > 0, span, np.inf)
     chosen = [int(np.argmin(np.linalg.norm(place, axis=1)))]
     far = np.linalg.norm(place - place[chosen[0]], axis=1)
     while len(chosen) < POSES and far.size and far.max() > 0.1:
@@ -214,7 +214,7 @@ def _poses(command: Floats, seen: Floats, visible: Mask, before: Floats, after: 
     def shown(values: Floats, k: int) -> Floats:
         return np.where(visible[k], np.sqrt(values[k]), np.nan)
 
-    frames = sorted(int(whole[i]) for i in chosen)
+    frames = sorted(int(complete[i]) for i in chosen)
     points = [np.where(visible[k][:, None], seen[k], np.nan) for k in frames]
     return [
         ExamplePose(k, p, shown(before, k), None if after is None else shown(after, k)) for k, p in zip(frames, points)

@@ -61,7 +61,7 @@ def certified(outcome: Outcome, fit: Fit, kept: Withheld) -> Certified:
         fit: the laws that stand, after demotion.
         kept: frames that fit the numbers of the claims, and frames that test them.
     """
-    named, open_ = list(fit.effects), [one.family.name for one in outcome.state.beside]
+    named, open_ = list(fit.effects), [one.family.name for one in outcome.state.representatives]
     claims = [*named, *open_]
     if not len(kept.rows) or not claims:
         none = Certificate(reason=kept.reason)
@@ -95,9 +95,9 @@ class _Evidence:
     """What the withheld frames say about each claim of a search."""
 
     def __init__(self, outcome: Outcome, fit: Fit, kept: Withheld) -> None:
-        self.outcome, self.fit, self.beside = outcome, fit, list(outcome.state.beside)
+        self.outcome, self.fit, self.representatives = outcome, fit, list(outcome.state.representatives)
         self.body = FeatureBody(_split(outcome, kept), outcome.fits.candidates)
-        self.chi2, _, chosen = self._chi2(fit, self.beside)
+        self.chi2, _, chosen = self._chi2(fit, self.representatives)
         share = len(kept.chosen) / len(outcome.body.record)
         scale = chosen / max(1.0, share * outcome.body.problem.numbers - len(fit.x))
         # A rod's noise is its error on the run, in which the effect that is tested has a share: it may be too large.
@@ -106,26 +106,26 @@ class _Evidence:
     def of_effect(self, name: str) -> float:
         """Return log10 e of an effect."""
         numbers = int(self.fit.space.of((name,)).sum())
-        return self._log10_e(self.outcome.fits.without(self.fit, name), self.beside, numbers)
+        return self._log10_e(self.outcome.fits.without(self.fit, name), self.representatives, numbers)
 
     def of_family(self, name: str) -> float:
         """Return log10 e of a family that stands without a law."""
-        numbers = sum(one.numbers for one in self.beside if one.family.name == name)
-        return self._log10_e(self.fit, [one for one in self.beside if one.family.name != name], numbers)
+        numbers = sum(one.numbers for one in self.representatives if one.family.name == name)
+        return self._log10_e(self.fit, [one for one in self.representatives if one.family.name != name], numbers)
 
-    def _log10_e(self, fit: Fit, beside: Sequence[Representative], numbers: float) -> float:
+    def _log10_e(self, fit: Fit, representatives: Sequence[Representative], numbers: float) -> float:
         """Return log10 e of a claim of so many numbers from what stands without it."""
-        fall = (self._chi2(fit, beside)[1] - self.chi2) / self.dispersion
+        fall = (self._chi2(fit, representatives)[1] - self.chi2) / self.dispersion
         return float((0.5 * TEMPER * fall + 0.5 * numbers * np.log(1.0 - TEMPER)) / np.log(10.0))
 
-    def _chi2(self, fit: Fit, beside: Sequence[Representative]) -> tuple[float, float, float]:
+    def _chi2(self, fit: Fit, representatives: Sequence[Representative]) -> tuple[float, float, float]:
         """Return chi² of the withheld frames, fitted to the others and to themselves, and of the others."""
-        whole = self.body.problem
-        there = Fit(whole, fit.effects, fit.space, fit.x, fit.cost, fit.chi2, whole.at(fit.space, fit.x[None])[0])
-        state, level = State(self.body, there, beside), self.body.level()
+        problem = self.body.problem
+        there = Fit(problem, fit.effects, fit.space, fit.x, fit.cost, fit.chi2, problem.at(fit.space, fit.x[None])[0])
+        state, level = State(self.body, there, representatives), self.body.level()
         names, ridges = state.blocks(level)
         residual = state.residual
-        for one in beside:  # all of a representative is fitted again, not only what it changes by
+        for one in representatives:  # all of a representative is fitted again, not only what it changes by
             columns = self.body.columns(one.family, state.commands, state.slopes) if len(one.theta) else None
             residual = residual if columns is None else residual + columns.shift(one.theta)
         level.close(np.ascontiguousarray(self.body.modes(residual)))
@@ -138,9 +138,9 @@ def _split(outcome: Outcome, kept: Withheld) -> Problem:
 
     Ordinary imperfections are smooth in the commands like the model's own error, and add to it.
     """
-    whole = copy(outcome.body.problem)
-    larger = 1.0 + (outcome.body.ordinary_mm / max(whole.record.form_mm, 1e-9)) ** 2
-    whole.whitener = replace(whole.whitener, form=larger * whole.whitener.form)
-    whole.folds = [(kept.chosen, kept.rows), (kept.rows, kept.rows), (kept.chosen, kept.chosen)]
-    whole.__dict__.pop("fold_kernels", None)
-    return whole
+    problem = copy(outcome.body.problem)
+    larger = 1.0 + (outcome.body.ordinary_mm / max(problem.record.form_mm, 1e-9)) ** 2
+    problem.whitener = replace(problem.whitener, form=larger * problem.whitener.form)
+    problem.folds = [(kept.chosen, kept.rows), (kept.rows, kept.rows), (kept.chosen, kept.chosen)]
+    problem.__dict__.pop("fold_kernels", None)
+    return problem

@@ -65,15 +65,15 @@ ASTRAY_TIMES = 5.0  # the point's usual distance from its model, likewise
 ASTRAY_MOST = 0.1  # of the points: more are no outliers
 UNSTEADY, UNSTEADY_TIMES = 0.05, 4.0  # of all motion, and of the median dwell, that points may scatter in a dwell
 STILL = 0.8  # of all motion: more scatter in the dwells, and the robot does not move
-UNSTEADY_MOST, DWELLS = 0.3, 4  # of the dwells: more are how this robot is; fewer of them tell nothing
+UNSTEADY_MOST, DWELLS = 0.3, 4  # of the dwells: more are how this robot is; fewer of them show nothing
 WRONG_SIGMA = 5.0  # times the noise that repeats show, or as little
 REMEMBERED = 100  # frames on which a strong memory is tested
-UNSEEN = 0.2  # of the points that may never be seen before a word is said
+UNSEEN = 0.2  # of the points that may never be seen before it is reported
 
 
 @dataclass(frozen=True)
 class CleanRun:
-    """A run without what is no measurement, and what is to be said about the run."""
+    """A run without what is no measurement, and remarks on the run."""
 
     run: Run
     remarks: tuple[str, ...]
@@ -133,7 +133,7 @@ def clean_run(model: Model, run: Run) -> CleanRun:
 def clean_record(
     model: Model, run: Run | Sequence[Run], reference: Run | Sequence[Run] | None = None
 ) -> tuple[Record, list[str]]:
-    """Bind a model to what is sound of one run or several, which stay `whole` in the record; return it with remarks.
+    """Bind a model to what is sound of one run or several, which stay complete in the record; return it with remarks.
 
     Raises:
         SoftmapError: as `clean_run` and `record_of`.
@@ -144,8 +144,8 @@ def clean_record(
     record = record_of(model, [p.run for p in parts], [clean_run(model, one).run for one in several] or None)
     record.recorded_runs = tuple(without_lost(one)[0] for one in given)
     record.doubts = tuple(dict.fromkeys(text for p in parts for text in p.doubts))
-    told = [(f"run {i}: " if len(parts) > 1 else "") + text for i, p in enumerate(parts, 1) for text in p.remarks]
-    return record, told
+    messages = [(f"run {i}: " if len(parts) > 1 else "") + text for i, p in enumerate(parts, 1) for text in p.remarks]
+    return record, messages
 
 
 def commands_not_followed(record: Record, predicted: Floats) -> str | None:
@@ -192,11 +192,11 @@ def _sigma(run: Run) -> list[str]:
     if run.sigma is None:
         return []
     found = noise_of_points(run)
-    said = float(np.sqrt(3.0) * np.median(run.sigma))
-    if found is None or 1 / WRONG_SIGMA < said / max(found.mm, 1e-9) < WRONG_SIGMA:
+    stated = float(np.sqrt(3.0) * np.median(run.sigma))
+    if found is None or 1 / WRONG_SIGMA < stated / max(found.mm, 1e-9) < WRONG_SIGMA:
         return []
     return [
-        f"`sigma` declares {said:.2g} mm a point, the repeats show {found.mm:.2g} mm ({found.source}); the noise is "
+        f"`sigma` declares {stated:.2g} mm a point, the repeats show {found.mm:.2g} mm ({found.source}); the noise is "
         "taken from the repeats"
     ]
 
@@ -270,10 +270,10 @@ def _unsteady(run: Run, u: Floats, seen: Floats, visible: Mask) -> tuple[Mask, s
     dwells, scatter = [], []
     for visit in np.unique(state.visit[~state.moving]):
         rows = np.flatnonzero((state.visit == visit) & ~state.moving & visible.any(axis=1))
-        whole = visible[rows].all(axis=0)
-        if visit < 0 or len(rows) < LEAST_DWELL or not whole.any():
+        always_seen = visible[rows].all(axis=0)
+        if visit < 0 or len(rows) < LEAST_DWELL or not always_seen.any():
             continue
-        left, order = undrifted(seen[np.ix_(rows, np.flatnonzero(whole))].reshape(len(rows), -1))
+        left, order = undrifted(seen[np.ix_(rows, np.flatnonzero(always_seen))].reshape(len(rows), -1))
         dwells.append(rows)
         scatter.append(float(np.sqrt(3.0 * np.sum(left**2) / ((len(rows) - order) * left.shape[1]))))
     if len(dwells) < DWELLS:
@@ -397,10 +397,10 @@ def _astray(seen: Floats, visible: Mask, predicted: Floats, length: float) -> Ma
         if len(around) < 2 or np.linalg.norm(off[k, n] - np.median(off[around, n], axis=0)) < 0.7 * far[k, n]:
             alone[k, n] = False
             continue
-        if found[k].sum() == visible[k].sum():  # the whole frame, with its base
+        if found[k].sum() == visible[k].sum():  # the complete frame, with its base
             continue
         near = np.linalg.norm(predicted[k] - predicted[k, n], axis=1)
         near[n], near[~visible[k]] = np.inf, np.inf
-        beside = int(np.argmin(near))  # a body that really bends takes the points beside along
-        alone[k, n] = bool(np.linalg.norm(off[k, n] - off[k, beside]) > 0.5 * far[k, n])
+        neighbour = int(np.argmin(near))  # a body that really bends takes the neighbouring points along
+        alone[k, n] = bool(np.linalg.norm(off[k, n] - off[k, neighbour]) > 0.5 * far[k, n])
     return np.asarray(alone)

@@ -121,7 +121,9 @@ def diagnose(
     context = Context(other, demoted, impossible, own, masked(outcome.fits, fit), proof)
     gone = None  # a static map follows the runs that taught it as far as it can
     if not record.remapped:
-        gone = commands_not_followed(record, outcome.state.predicted if outcome.state.beside else fit.predicted)
+        gone = commands_not_followed(
+            record, outcome.state.predicted if outcome.state.representatives else fit.predicted
+        )
     values = conclude(outcome, fit, context)
     if gone is None:
         loaded = any(run.load is not None and np.any(run.load) for run in record.recorded_runs)
@@ -140,9 +142,9 @@ def diagnose(
     remarks += [] if record.replay is None else [TWICE]
     remarks += [str(teacher)] if teacher.runs else []
     values["next"] = (*(teacher.next(values["effects"]) if record.remapped else ()), *values["next"])
-    whole = [converted(model, run) for run in record.recorded_runs]
-    remarks += missing_data(whole, len(record), problem.noise.replicates)
-    encoded = [run for run in whole if run.present is not None]
+    converted_runs = [converted(model, run) for run in record.recorded_runs]
+    remarks += missing_data(converted_runs, len(record), problem.noise.replicates)
+    encoded = [run for run in converted_runs if run.present is not None]
     behind = servos(encoded[0], [*candidates, *record.model.chain_names]) if encoded else []
     found = with_error(found, values["effects"])
     return Diagnosis(
@@ -220,7 +222,7 @@ def _relearned(model: Model, numbers: Mapping[str, Number]) -> Model:
 
 
 def showing(model: Model, run: Run) -> list[Document]:
-    """Say, before any fit, which effects would show in a run: how large each is at mid-range against the noise.
+    """Say, before any fit, which effects would show in a run: how large each is at typical strength against the noise.
 
     Returns:
         list: for each effect `{name, shows, moved_mm, deviations, why, alike, experiment, minutes}`: `deviations` is

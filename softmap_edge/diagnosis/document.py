@@ -107,7 +107,7 @@ class Diagnosis:
             SoftmapError: no readable JSON, or not a diagnosis.
         """
         try:
-            document = json.loads(read_document(path), parse_int=_whole)
+            document = json.loads(read_document(path), parse_int=_integer)
         except (ValueError, RecursionError) as error:
             raise SoftmapError(f"{path} is not JSON ({brief(error)}); make it with `softmap diagnose --out`") from None
         return cls.from_dict(document)
@@ -180,6 +180,6 @@ def with_error(model: Model, entries: Sequence[Finding]) -> Model:
     return model
 
 
-def _whole(digits: str) -> int | float:
+def _integer(digits: str) -> int | float:
     """Return a whole number of JSON; one beyond any float, which no arithmetic takes, as infinity."""
     return int(digits) if len(digits) < 300 else float(digits)

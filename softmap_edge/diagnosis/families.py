@@ -341,7 +341,7 @@ class State:
         self,
         body: FeatureBody,
         fit: Fit,
-        beside: Sequence[Representative] = (),
+        representatives: Sequence[Representative] = (),
         background: Sequence[Family] = (),
     ) -> None:
         """Set what is known.
@@ -349,26 +349,26 @@ class State:
         Args:
             body: the problem at level 1.
             fit: the laws that were found, fitted together.
-            beside: representatives of families without a law.
+            representatives: those of families without a law.
             background: families that explain ordinary imperfections, which are not named. Where the static map was
                 learned from data with memory, its families are always among them, because the memory has bent it.
         """
-        self.body, self.fit, self.beside = body, fit, tuple(beside)
+        self.body, self.fit, self.representatives = body, fit, tuple(representatives)
         self.background = tuple(dict.fromkeys((*background, *body.learned)))
         start = body.effective(fit)
         commands, shift = start, np.zeros_like(body.record.seen)
-        for one in self.beside:
+        for one in self.representatives:
             commands, more = applied(body, one, commands)
             shift = shift + more
         self.commands = commands
-        if self.beside:
+        if self.representatives:
             shift = shift + body.features(commands) - body.features(start)
         self.shift = shift  # (K, F) mm, of the representatives
 
     def without_background(self) -> State:
         """Return this state without families that explain ordinary imperfections, itself where it has none."""
         alone = set(self.background) <= set(self.body.learned)
-        return self if alone else State(self.body, self.fit, self.beside)
+        return self if alone else State(self.body, self.fit, self.representatives)
 
     @property
     def predicted(self) -> Floats:
@@ -390,7 +390,7 @@ class State:
         names, ridges = [], []
         if self.body.add_fit(level, "fit", self.fit if fit is None else fit):
             names, ridges = ["fit"], [1.0]
-        for one in self.beside:
+        for one in self.representatives:
             columns = self.body.columns(one.family, self.commands, self.slopes)
             if columns is not None:
                 self.body.add(level, f"*{one.family.name}", columns)
@@ -511,7 +511,7 @@ def ranked(state: State, every: Sequence[Family], taken: Sequence[Family], withi
     """
     body, level = state.body, state.body.level()
     names, ridges = state.blocks(level)
-    known = {f"*{one.family.name}" for one in state.beside}
+    known = {f"*{one.family.name}" for one in state.representatives}
     columns = {f: c for f in every if (c := body.columns(f, state.commands, state.slopes)) is not None}
     for family, own in columns.items():
         body.add(level, family.name, own)

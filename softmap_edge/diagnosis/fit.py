@@ -58,9 +58,11 @@ class Space:
         self.split, self.full = tuple(split), layout.full
         self.names, self.labels, self.units = layout.names, layout.labels, layout.units
         null, start, low, high, limit = layout.null, layout.start, layout.low, layout.high, layout.limit
-        wanted = set(free or effects)
-        told = [label.split("@")[0] not in record.untold for label in self.labels]
-        self.free = np.array([i for i, s in enumerate(self.labels) if s.split(".")[0] in wanted and told[i]], int)
+        searched = set(free or effects)
+        identifiable = [label.split("@")[0] not in record.untold for label in self.labels]
+        self.free = np.array(
+            [i for i, s in enumerate(self.labels) if s.split(".")[0] in searched and identifiable[i]], int
+        )
         self.base = layout.values(base, null)
         self.log, self.integer, self.instant = (a[self.free] for a in (layout.log, layout.integer, layout.instant))
         self.declared = layout.declared[self.free]  # not so the prior's own numbers, which count with or without
@@ -218,27 +220,29 @@ class Problem:
         """What predicts modes without features."""
         return self.record.forms(self._weights)
 
-    def _told(self) -> ProjectedFeatures | None:
-        """Return the modes of what is seen, found anew where that was exchanged; None where much is not seen."""
+    def _projected(self) -> ProjectedFeatures | None:
+        """Return the modes of what is seen, found again if that was exchanged; None where much is not seen."""
         seen = self.record.seen
         if self._seen is None or self._seen[0] is not seen:
-            whole = np.asarray(np.isfinite(seen).all(axis=1))
-            rows = np.union1d(self.record.begins, np.flatnonzero(~whole))
-            told = None
+            complete = np.asarray(np.isfinite(seen).all(axis=1))
+            rows = np.union1d(self.record.begins, np.flatnonzero(~complete))
+            projected = None
             if len(rows) <= HALF_SEEN * len(seen):
-                few = None if whole.all() else self.record.some(rows)
-                told = ProjectedFeatures(np.where(whole[:, None], seen, 0.0) @ self._weights, rows, few)
-            self._seen = seen, told
+                few = None if complete.all() else self.record.some(rows)
+                projected = ProjectedFeatures(np.where(complete[:, None], seen, 0.0) @ self._weights, rows, few)
+            self._seen = seen, projected
         return self._seen[1]
 
     def at(self, space: Space, x: Floats) -> Floats:
         """Return residual modes (B, K, M) at x (B, P)."""
-        told, params = self._told(), space.params(x)
-        if told is None:
+        projected, params = self._projected(), space.params(x)
+        if projected is None:
             return self.modes(self.record.predict(space.names, params))
-        found = np.asarray(told.modes - self._forms(space.names, params))
-        if told.few is not None:
-            found[:, told.rows] = self.whitener.modes(told.few.seen - told.few.predict(space.names, params)) * self.gain
+        found = np.asarray(projected.modes - self._forms(space.names, params))
+        if projected.few is not None:
+            found[:, projected.rows] = (
+                self.whitener.modes(projected.few.seen - projected.few.predict(space.names, params)) * self.gain
+            )
         return found
 
     def costs(self, modes: Floats, x: Floats) -> tuple[Floats, Floats]:

@@ -134,7 +134,7 @@ def starts(problem: Problem, effect: str) -> list[Floats]:
     """
     space = problem.space((effect,), free=(effect,))
     if space.integer.any():
-        return _whole_numbers(space)
+        return _integer_points(space)
     points = [space.start.copy()]
     for i in np.flatnonzero(space.instant):
         low, high = space.values(space.low)[i], space.values(space.high)[i]
@@ -188,12 +188,14 @@ def _joined(space: Space, parent: Fit, effect: str, start: Floats) -> Floats:
     return np.clip(x, space.low, space.high)
 
 
-def _whole_numbers(space: Space) -> list[Floats]:
+def _integer_points(space: Space) -> list[Floats]:
     """Return every combination of the whole numbers of an effect, but that where all are at their null."""
     values = space.values(space.start)
     rows = [
-        [float(k) for k in range(round(low), round(high) + 1)] if whole else [value]
-        for value, whole, low, high in zip(values, space.integer, space.values(space.low), space.values(space.high))
+        [float(k) for k in range(round(low), round(high) + 1)] if is_integer else [value]
+        for value, is_integer, low, high in zip(
+            values, space.integer, space.values(space.low), space.values(space.high)
+        )
     ]
     points = [space.scaled(np.array(point)) for point in product(*rows)]
     return [p for p in points if np.any(np.abs(p - space.scaled(space.null))[space.integer] > 1e-9)]

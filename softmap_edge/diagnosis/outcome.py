@@ -77,7 +77,7 @@ def held_out_loss(outcome: Outcome) -> Floats:
     A family without a law counts with its columns, whether a candidate is in the fit or not.
     """
     state = outcome.state
-    ways = [state, State(state.body, state.fit, state.beside)] if state.background else [state]
+    ways = [state, State(state.body, state.fit, state.representatives)] if state.background else [state]
     open_ = [step.family for step in outcome.steps if not step.answer.resolved]
     loss = min((ranked(way, open_, open_).before for way in ways), key=np.sum)
     for step in outcome.steps:
@@ -89,10 +89,12 @@ def held_out_loss(outcome: Outcome) -> Floats:
 def with_family(state: State, fits: Fits, answer: Answer) -> tuple[State, Fits]:
     """Return state and fits with a family taken: its law joins the fit, or else its representative stands alongside."""
     if answer.law is not None and answer.law.fit is not None and not answer.rough:
-        return State(state.body, answer.law.fit, state.beside, state.background), fits
-    beside = (*state.beside, answer.representative)
-    fits = fits_alongside(Fits(state.body.problem, fits.candidates), state, beside)
-    return State(state.body, fits.get(state.fit.effects, state.fit.space.split), beside, state.background), fits
+        return State(state.body, answer.law.fit, state.representatives, state.background), fits
+    representatives = (*state.representatives, answer.representative)
+    fits = fits_alongside(Fits(state.body.problem, fits.candidates), state, representatives)
+    return State(
+        state.body, fits.get(state.fit.effects, state.fit.space.split), representatives, state.background
+    ), fits
 
 
 def name_candidates(outcome: Outcome) -> None:
@@ -102,11 +104,11 @@ def name_candidates(outcome: Outcome) -> None:
     if not laws:
         return
     replaced = {answer.family.name for answer in rough}
-    beside = [one for one in state.beside if one.family.name not in replaced]
-    fits = fits_alongside(outcome.plain, state, beside)
+    representatives = [one for one in state.representatives if one.family.name not in replaced]
+    fits = fits_alongside(outcome.plain, state, representatives)
     effects = [*state.fit.effects, *(e for law in laws for e in law.effects)]
     fit = fits.get(effects, [*state.fit.space.split, *(e for law in laws for e in law.split)])
-    outcome.fits, outcome.state = fits, State(state.body, fit, beside, state.background)
+    outcome.fits, outcome.state = fits, State(state.body, fit, representatives, state.background)
 
 
 def fits_alongside(plain: Fits, state: State, alongside: Sequence[Representative]) -> Fits:

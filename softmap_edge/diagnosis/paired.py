@@ -74,7 +74,7 @@ def pair(record: Record, references: Sequence[Record]) -> tuple[Replay, Floats, 
 
     Returns:
         tuple: how they meet; what the model misses on the reference at the run's frames (K, F) mm, NaN where the
-        reference does not tell; and the form error (V, 3) mm that is left of the model's own.
+        reference has no data; and the form error (V, 3) mm that is left of the model's own.
 
     Raises:
         SoftmapError: points of another kind or place, commands that differ, too little in common.
@@ -229,9 +229,9 @@ def _read(at: Floats, t: Floats, values: Floats) -> Floats:
     with np.errstate(invalid="ignore"):
         lower = np.where(share < 1.0, (1.0 - share) * values[before], 0.0)
         upper = np.where(share > 0.0, share * values[after], 0.0)
-    told = (share >= 0.0) & (share <= 1.0)
-    told &= (gap <= GAPS * np.median(np.diff(t)))[:, None] | (share == 0.0) | (share == 1.0)
-    return np.where(told, lower + upper, np.nan)
+    known = (share >= 0.0) & (share <= 1.0)
+    known &= (gap <= GAPS * np.median(np.diff(t)))[:, None] | (share == 0.0) | (share == 1.0)
+    return np.where(known, lower + upper, np.nan)
 
 
 def _form_left(record: Record, reference: Record, missed: Floats) -> Floats:

@@ -25,23 +25,23 @@ Floats = NDArray[np.float64]
 SIGNATURE_FRAMES = 150  # frames on which the span of the signatures is found
 
 
-def candidates_of(record: Record, wanted: Sequence[str] | None) -> tuple[list[str], list[Untestable]]:
-    """Return all effects, or those `wanted`, that can be looked for in a run, and why the others cannot.
+def candidates_of(record: Record, requested: Sequence[str] | None) -> tuple[list[str], list[Untestable]]:
+    """Return all effects, or those `requested`, that can be looked for in a run, and why the others cannot.
 
     Raises:
         SoftmapError: an unknown effect, or none that is left.
     """
     known = registry()
-    unknown = [name for name in wanted or () if name not in known]
+    unknown = [name for name in requested or () if name not in known]
     if unknown:
         raise SoftmapError(no_effect(unknown[0], known))
-    names = [n for n in known if (wanted is None or n in wanted) and n not in record.model.chain_names]
-    if record.model.output is not None and wanted is None:
+    names = [n for n in known if (requested is None or n in requested) and n not in record.model.chain_names]
+    if record.model.output is not None and requested is None:
         names = [n for n in names if known[n].on_outputs]
     if not names:
         raise SoftmapError("no effect is left to look for: the model already has every candidate")
     lawless = [n for n in names if known[n].role == "prior" and record.model.missing_for(n)]
-    if wanted is None:  # a law that the prior does not have is no question, unless it is asked
+    if requested is None:  # a law that the prior does not have is no question, unless it is asked
         names = [n for n in names if n not in lawless]
     impossible = []
     for name in names:

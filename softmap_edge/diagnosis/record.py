@@ -36,7 +36,7 @@ Forms = Callable[[Sequence[str], Floats], Floats]
 
 CHUNK = 12_000_000  # numbers of one batched prediction: 100 MB
 SLOPE = 0.02  # of the range of a command, to both sides, over which slopes are taken
-ROLLS = ("mount.turn_z",)  # what clouds of a round finger do not tell: there turned tendons look the same
+ROLLS = ("mount.turn_z",)  # clouds of a round finger do not show it: there turned tendons look the same
 ENDS = 0.05  # of a run: what happens nearer to its ends is seen from one side only
 
 
@@ -46,7 +46,7 @@ class Record:
     seen: Floats  # (K, F) mm
     form_error: Floats  # (V, 3) mm
     _leaning: Floats  # (K, d)
-    roll_seen: bool  # whether frames tell what the body does about its own axis
+    roll_seen: bool  # whether frames show the rotation of the body about its own axis
     doubts: tuple[str, ...] = ()  # about the runs, sentences without a stop, which go with any verdict
     remapped: bool = False  # whether a learned static map is solved again with every law
     static: Floats | None = None  # (K, F) mm, what the model's residual is here: it is taken out, `model` is without it
@@ -75,7 +75,7 @@ class Record:
             self.static = (model.features(self.run) - self.model.features(self.run)).reshape(self.seen.shape)
 
     def _bind(self, run: Run) -> None:
-        """Take the frames of a run in which anything is seen: others hold nothing out, their loss speaks for nobody."""
+        """Take the frames of a run in which anything is seen: the others carry no information."""
         self._forget()
         self.__dict__.pop("_within", None)
         model, run = self.model, converted(self.model, run)
@@ -162,9 +162,9 @@ class Record:
         """Loads (n,) g that are declared."""
         return None if self.run.load is None else np.atleast_1d(np.asarray(self.run.load, float))
 
-    def missing(self, wanted: Sequence[str]) -> list[str]:
+    def missing(self, required: Sequence[str]) -> list[str]:
         """Return which of the fields that an effect needs are not declared."""
-        return [name for name in wanted if getattr(self.run, name, None) is None]
+        return [name for name in required if getattr(self.run, name, None) is None]
 
     # --- predictions ----------------------------------------------------------------------------
 

@@ -140,9 +140,9 @@ class Records(Record):
         squares = [part.frames * part.frame_mm**2 for part in self.parts]
         return float(np.sqrt(sum(squares) / max(1, self.frames)))
 
-    def missing(self, wanted: Sequence[str]) -> list[str]:
+    def missing(self, required: Sequence[str]) -> list[str]:
         """Return which of the fields that an effect needs some run does not declare."""
-        return [name for name in wanted if any(part.missing([name]) for part in self.parts)]
+        return [name for name in required if any(part.missing([name]) for part in self.parts)]
 
     def layout(self, names: Sequence[str], split: Collection[str] = ()) -> Layout:
         """Return the parameters of a chain, with numbers of its own for each run where they belong to a session."""

@@ -52,9 +52,9 @@ def search(
         progress: is called with one line for each family.
         visible: least effect size that counts, RMS, in mm or the unit of the output; VISIBLE_MM by default.
     """
-    tell = progress or (lambda _: None)
+    report = progress or (lambda _: None)
     visible = rule.VISIBLE_MM if visible is None else visible
-    more = partial(_one_by_one, tell=tell, visible=visible)
+    more = partial(_one_by_one, report=report, visible=visible)
     body, fits = FeatureBody(problem, candidates), Fits(problem, candidates)
     state = State(body, fits.null)
     null = ranked(state, [], []).found
@@ -68,7 +68,7 @@ def search(
     return outcome
 
 
-def _one_by_one(outcome: Outcome, most: int, tell: Callable[[str], None], visible: float) -> None:
+def _one_by_one(outcome: Outcome, most: int, report: Callable[[str], None], visible: float) -> None:
     """Take families on top of what was found until none is accepted, `most` in all."""
     body, every, more = outcome.body, families(), True
     while more and len(outcome.steps) < most:
@@ -79,7 +79,7 @@ def _one_by_one(outcome: Outcome, most: int, tell: Callable[[str], None], visibl
             body.ordinary_mm = acceptance.ordinary(state, ranking, every)
         ordinary = acceptance.is_ordinary(ranking, state)
         if ordinary or (state is not before and not acceptance.beyond_ordinary(ranking, state)):
-            state = State(body, state.fit, state.beside, [f for f in every if f.name in acceptance.BACKGROUND])
+            state = State(body, state.fit, state.representatives, [f for f in every if f.name in acceptance.BACKGROUND])
             ranking = ranked(state, [f for f in every if f.kind != "static"], taken)
         outcome.state, outcome.loss = state, ranking.found
         step = None if outcome.steps else _miswired(ranking, state, outcome.fits)
@@ -88,7 +88,7 @@ def _one_by_one(outcome: Outcome, most: int, tell: Callable[[str], None], visibl
         if step is not None:
             step = Step(_split(step.answer, state, outcome.fits), step.others)
             law = step.answer.law
-            tell(f"{len(taken) + 1}: {step.family.name}, {law.name if law else 'law open'}")
+            report(f"{len(taken) + 1}: {step.family.name}, {law.name if law else 'law open'}")
             outcome.steps.append(step)
             outcome.state, outcome.fits = with_family(state, outcome.fits, step.answer)
 
@@ -229,7 +229,7 @@ def _ask_again(outcome: Outcome) -> bool:
         state, family, law = outcome.state, step.family, step.answer.law
         if law is not None and (not step.answer.rough or set(law.effects) <= set(state.fit.effects)):
             continue
-        others = [one for one in state.beside if one.family.name != family.name]
+        others = [one for one in state.representatives if one.family.name != family.name]
         fits = fits_alongside(outcome.plain, state, others)
         fit = fits.get(state.fit.effects, state.fit.space.split)
         mimics = family.kind == "static"  # the background would take all of its share

@@ -74,13 +74,13 @@ def servos(run: Run, effects: list[str]) -> list[ServoFinding]:
         return []
     # A user's own law may need all channels at once, which one servo is not.
     early = [e for e in registry().values() if e.stage == "command" and not e.own]
-    wanted = [e.name for e in early if e.on_commands]
+    requested = [e.name for e in early if e.on_commands]
     every = np.unique(np.linspace(0, len(run.t) - 1, min(len(run.t), THINNED)).astype(int))
     t_seen = np.asarray(run.t, float)[every]
     return [
         found
         for channel in range(run.present.shape[1])
-        if (found := _servo(run, channel, t_seen, [name for name in wanted if name in effects])) is not None
+        if (found := _servo(run, channel, t_seen, [name for name in requested if name in effects])) is not None
     ]
 
 

@@ -162,8 +162,8 @@ def _ladder_lines(error: Document) -> list[str]:
         lines += folded(f"floor: {error.get('floor_kind', 'origin not stated')}", 2)
     lines += folded(LADDER_NOTE if unit == PLACES else OUTPUT_NOTE, 2)
     known = [("noise floor", error.get("noise_floor")), ("model's own held-out error", error.get("model_floor"))]
-    told = [f"{name} {mm(value)} {unit} RMS" for name, value in known if number(value) is not None]
-    return [*lines, *([f"  {' · '.join(told)}"] if told else [])]
+    parts = [f"{name} {mm(value)} {unit} RMS" for name, value in known if number(value) is not None]
+    return [*lines, *([f"  {' · '.join(parts)}"] if parts else [])]
 
 
 def _noise_lines(made_from: Document, unit: str) -> list[str]:

@@ -56,7 +56,7 @@ def completed(outcome: Outcome, more: More, visible: float) -> Outcome:
 def _left_with_imperfections(outcome: Outcome) -> float:
     """Return the unexplained share if the families of ordinary imperfections explain what they can."""
     background = [family for family in families() if family.name in acceptance.BACKGROUND]
-    other = replace(outcome, state=State(outcome.body, outcome.fit, outcome.state.beside, background))
+    other = replace(outcome, state=State(outcome.body, outcome.fit, outcome.state.representatives, background))
     other.loss = held_out_loss(other)
     return other.left
 
@@ -152,11 +152,11 @@ def _with_others(other: Outcome, outcome: Outcome) -> Outcome:
         ranking = ranked(state, [f for f in families() if f not in known or f == step.family], [], PROMISING)
         rows = [row for row in ranking.rows if row.family != step.family]
         rows = [row for row in rows if near(row.loss, step.answer.loss, ranking.found)][: acceptance.ASKED]
-        beside = [answered(state, other.plain, row, ranking.found, pairs=False) for row in rows]
+        answers = [answered(state, other.plain, row, ranking.found, pairs=False) for row in rows]
         if len(other.steps) == len(outcome.steps) == 1:
-            beside += [a for a in (outcome.steps[0].answer, *outcome.steps[0].others) if a.family != step.family]
-        beside = [a for a in beside if a.law is None or a.law.effects != own.effects]
-        others = {a.family: a for a in beside if acceptance.indistinct(a, step.answer, ranking, state)}
+            answers += [a for a in (outcome.steps[0].answer, *outcome.steps[0].others) if a.family != step.family]
+        answers = [a for a in answers if a.law is None or a.law.effects != own.effects]
+        others = {a.family: a for a in answers if acceptance.indistinct(a, step.answer, ranking, state)}
         other.steps[i] = Step(step.answer, tuple(others.values()))
     return other
 

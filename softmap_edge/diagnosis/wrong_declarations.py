@@ -1,8 +1,8 @@
 """Whether a run declares gravity with a wrong sign, or a load of a wrong size: asked where gravity makes no sense.
 
-Beside another effect a wrong sign does not stand out before a fit (`belongs.py` asks that): a weight or a play hides
-it, and the effect `gravity` then ends at the bounds of what it may be. So that a search decides, the run is diagnosed
-again under the signs that look best with a free weight at the tip,
+With another effect present a wrong sign does not stand out before a fit (`belongs.py` asks that): a weight or a play
+hides it, and the effect `gravity` then ends at the bounds of what it may be. So that a search decides, the run is
+diagnosed again under the signs that look best with a free weight at the tip,
 
     min over m >= 0 of |seen - predicted(signs * g) - m d(signs * g)|      d what one weight does,
 
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from softmap_edge.run.run import Run
 
 FRAMES = 100  # looked at where signs are compared before the search
-CLOSE = 1.3  # times what the best signs leave: a body that hangs tells one sign of its axis hardly from the other
+CLOSE = 1.3  # times what the best signs leave: a hanging body hardly distinguishes the signs of its axis
 POOR, MUCH = 0.5, 10.0  # of the held-out error, and chi² per number, that no true dead load leaves
 ABSENT = 0.2  # of a declared load: nearer to none, or to all of it, it is taken as that
 WORSE = 0.8  # of the held-out error that other signs must leave at most
@@ -86,10 +86,10 @@ def wrong_load(record: Record, error: float, again: Callable[[Sequence[Run]], fl
     if record.replay is not None or not any(run.load is not None and np.any(run.load) for run in runs):
         return None
     thin = [_thin(run) for run in runs]
-    whole, bare = (record_of(record.model, those) for those in (thin, [_loaded(r, 0.0) for r in thin]))
+    loaded, bare = (record_of(record.model, those) for those in (thin, [_loaded(r, 0.0) for r in thin]))
     off, shift = (
-        np.nan_to_num(whole.seen - declared.predict(record.model.chain_names, declared.own()[None])[0])
-        for declared in (whole, bare)
+        np.nan_to_num(loaded.seen - declared.predict(record.model.chain_names, declared.own()[None])[0])
+        for declared in (loaded, bare)
     )
     does = shift - off  # of all that is declared
     share = float(np.sum(shift * does)) / max(float(np.sum(does**2)), 1e-12)

@@ -82,18 +82,18 @@ class Outcomes:
         self.names = [n for n in named if not model.missing_for(n)]
         self.params: dict[tuple[str, ...], dict[str, float]] = {}
         if runs:
-            whole = record_of(model, runs, self.references or None)
-            problem = problem_of(whole, [n for n in self.names if self.declared(n)])
+            combined = record_of(model, runs, self.references or None)
+            problem = problem_of(combined, [n for n in self.names if self.declared(n)])
             fitted = Fits(problem, [n for n in self.names if self.declared(n)])
             fits = {key: fitted.get(key) for key in sets}
             self.noise, self.dispersion = problem.noise, fitted.dispersion(fits[self.found])
             self.params |= {key: fit.params for key, fit in fits.items()}
         else:
             self.noise, self.dispersion = _declared_noise(model, diagnosis), 1.0
-            told: dict[str, float] = {}
+            found_params: dict[str, float] = {}
             for name in self.found:
-                told |= diagnosis.params_of(name)
-            self.params |= {key: self._middle(key) | told for key in sets}
+                found_params |= diagnosis.params_of(name)
+            self.params |= {key: self._middle(key) | found_params for key in sets}
 
     def blocks(self, limits: Limits) -> list[Block]:
         """Return the blocks that the robot can do and that could matter."""
@@ -130,16 +130,16 @@ class Outcomes:
                 apart = apart if self._moved(question.hidden, new) >= VISIBLE_MM else 0.0
             elif new.missing(self.needs(question.hidden)):
                 apart = 0.0
-            else:  # the earlier runs will not tell: what the new one says by itself
+            else:  # the earlier runs do not show it: the new one by itself
                 apart = alone.left(question.hidden)
                 apart = apart if new.rms_mm(self._shift(question.hidden, new)) >= VISIBLE_MM else 0.0
             found.append((question, max(apart, 0.0) / self.dispersion))
         return found
 
-    # --- rivals, refitted in full ---------------------------------------------------------------
+    # --- alternatives, refitted in full ---------------------------------------------------------------
 
     def _resolvable(self, question: OpenQuestion, changes: str) -> bool:
-        """Whether a block that `changes` a condition can tell a pair apart, by what the library says of its members."""
+        """Whether a block that `changes` a condition can separate a pair, by the library's declarations."""
         mine = [e for e in question.one if e not in question.other]
         theirs = [e for e in question.other if e not in question.one]
         if len(mine) != 1 or len(theirs) != 1:
@@ -223,11 +223,11 @@ class Outcomes:
         return np.asarray(record.predict(layout.names, values[None])[0])
 
     def with_hidden(self, name: str) -> tuple[tuple[str, ...], dict[str, float]]:
-        """Return what was found, with one effect more at mid-range."""
+        """Return what was found, with one effect more at typical strength."""
         return (*self.found, name), self._middle((name,)) | self.params[self.found]
 
     def _middle(self, effects: Sequence[str]) -> dict[str, float]:
-        """Return parameters at mid-range: halfway from null to high, or the start where the scale is logarithmic."""
+        """Return parameters at typical strength: halfway from null to high, or the start on a log scale."""
         layout = self.bare.layout(tuple(effects))
         return dict(zip(layout.labels, map(float, layout.middle)))
 
@@ -243,7 +243,7 @@ class Outcomes:
 
 
 class _Linear:
-    """What an unseen effect leaves beside what was found, whose parameters take one linearised step."""
+    """What an unseen effect leaves on top of what was found, whose parameters take one linearised step."""
 
     def __init__(self, world: Outcomes, problem: Problem, parts: list[Record]) -> None:
         self.world, self.problem, self.parts = world, problem, parts
@@ -269,7 +269,7 @@ class _Linear:
         return problem.white(slopes)
 
     def left(self, name: str) -> float:
-        """Return the chi² that is left of an effect at mid-range."""
+        """Return the chi² that is left of an effect at typical strength."""
         shift = np.concatenate([self.world._shift(name, part) for part in self.parts])
         shift = np.where(np.isfinite(self.problem.record.seen), shift, np.nan)
         white = self.problem.white(self.problem.whitener.modes(shift) * self.problem.gain)
@@ -311,9 +311,13 @@ def _check(model: Model, diagnosis: Diagnosis, runs: Sequence[Run], known: Regis
             f"the diagnosis is of a model with {', '.join(map(str, own)) or 'no effects'}, this one has "
             f"{', '.join(model.chain_names) or 'none'}; give the bundle that was diagnosed"
         )
-    told = made.get("run")
+    recorded = made.get("run")
     hashes = [run.hash() for run in runs]
-    if runs and told is not None and sorted(hashes) != sorted(told if isinstance(told, list) else [told]):
+    if (
+        runs
+        and recorded is not None
+        and sorted(hashes) != sorted(recorded if isinstance(recorded, list) else [recorded])
+    ):
         raise SoftmapError(
             f"the diagnosis was made from other runs than the {len(runs)} given; give those, or diagnose these again"
         )
@@ -326,19 +330,19 @@ def _check(model: Model, diagnosis: Diagnosis, runs: Sequence[Run], known: Regis
         raise SoftmapError(f"the diagnosis names '{unknown[0]}', which this library lacks; diagnose again")
 
 
-def _check_references(told: object, runs: bool, given: list[str]) -> None:
+def _check_references(recorded: object, runs: bool, given: list[str]) -> None:
     """Refuse other references than those that a diagnosis is relative to; those of its held-out run may come along."""
-    if told is None and given:
+    if recorded is None and given:
         raise SoftmapError("the diagnosis is not relative to a reference run; leave --reference out")
-    hashes = told.get("run") if isinstance(told, Mapping) else None
-    wanted = hashes if isinstance(hashes, list) else [hashes]
-    if told is None or not (runs or given):
+    hashes = recorded.get("run") if isinstance(recorded, Mapping) else None
+    needed = hashes if isinstance(hashes, list) else [hashes]
+    if recorded is None or not (runs or given):
         return
     if not given:
         raise SoftmapError("the diagnosis is relative to a reference run; give that run too, with --reference")
-    if not {str(h) for h in wanted} <= set(given):
+    if not {str(h) for h in needed} <= set(given):
         raise SoftmapError(
-            f"the diagnosis is relative to {len(wanted)} other reference run(s) than the {len(given)} given; give those"
+            f"the diagnosis is relative to {len(needed)} other reference run(s) than the {len(given)} given; give those"
         )
 
 

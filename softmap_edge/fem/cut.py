@@ -26,12 +26,12 @@ FACES = ((0, 3, 2, 1), (4, 5, 6, 7), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (
 class Cut:
     """A solid as coarse tetrahedra, bricks about as tall as it is wide: what a `Simulator` asks of a solid."""
 
-    whole: Tapered | Block
+    solid: Tapered | Block
 
     @property
     def height_mm(self) -> float:
         """Height from the clamped base to the tip, mm."""
-        return self.whole.height_mm
+        return self.solid.height_mm
 
     def cells(self, ends: Sequence[float]) -> _core.Mesh:
         """Return the cells; `ends` are the heights in mm where tendons start and end."""
@@ -40,13 +40,13 @@ class Cut:
     def bricks(self, ends: Sequence[float]) -> _core.Mesh:
         """Return the bricks that are cut."""
         least = max(LAYERS, len(set(ends)) + 1)  # between two ends there is a layer
-        if isinstance(self.whole, Block):
-            x, y, z = self.whole.cells_each_way
-            tall = max(least, round(self.height_mm / min(self.whole.size[:2])))
-            return replace(self.whole, cells_each_way=(min(x, ACROSS), min(y, ACROSS), min(z, tall))).cells(ends)
-        wide = 2.0 * at(self.whole.profile, 0.5 * self.height_mm)
-        layers = min(self.whole.layers, max(least, round(self.height_mm / wide)))
-        return replace(self.whole, core=min(self.whole.core, ACROSS), rings=1, layers=layers).cells(ends)
+        if isinstance(self.solid, Block):
+            x, y, z = self.solid.cells_each_way
+            tall = max(least, round(self.height_mm / min(self.solid.size[:2])))
+            return replace(self.solid, cells_each_way=(min(x, ACROSS), min(y, ACROSS), min(z, tall))).cells(ends)
+        wide = 2.0 * at(self.solid.profile, 0.5 * self.height_mm)
+        layers = min(self.solid.layers, max(least, round(self.height_mm / wide)))
+        return replace(self.solid, core=min(self.solid.core, ACROSS), rings=1, layers=layers).cells(ends)
 
 
 def cut(bricks: _core.Mesh) -> _core.Mesh:

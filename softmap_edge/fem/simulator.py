@@ -228,7 +228,7 @@ class Simulator:
         finger's own · load: (3,) N on the tip · progress: called with the share done, 0 to 1. Raises SimulationError.
         """
         grid = tuple(_array("axis", axis, (None,)) for axis in axes)
-        with _told():
+        with _core_faults():
             vertices, pull = self.solid.sweep(
                 [axis.tolist() for axis in grid], self._gravity(gravity), _vector("load", load), progress
             )
@@ -269,7 +269,7 @@ class Simulator:
         g = np.asarray(self.finger.gravity if gravity is None else gravity, dtype=np.float64)
         g = np.ascontiguousarray(np.broadcast_to(g, (len(u), 3))) if g.shape == (3,) else g
         rows = _array("gravity", g, (len(u), 3))
-        with _told():
+        with _core_faults():
             return self.solid.path(u, rows, _vector("load", load), progress)
 
     def path_from(self, other: Simulator, commands: ArrayLike, gravity: ArrayLike | None = None) -> Floats:
@@ -278,7 +278,7 @@ class Simulator:
         For meshes on which the way from home would take hours. Raises SimulationError.
         """
         u = _array("commands", commands, (None, len(self.finger.pairs)))
-        with _told():
+        with _core_faults():
             return self.solid.path_from(other.solid, u, self._gravity(gravity), (0.0, 0.0, 0.0))
 
     def fields(
@@ -295,7 +295,7 @@ class Simulator:
         Raises SimulationError.
         """
         u = _array("commands", commands, (None, len(self.finger.pairs)))
-        with _told():
+        with _core_faults():
             found = self.solid.fields(u, self._gravity(gravity), _vector("load", load), design, progress)
         return Compliance(found, found.pop("stretch"))
 
@@ -306,7 +306,7 @@ class Simulator:
         Raises SimulationError.
         """
         u = _array("commands", commands, (None, len(self.finger.pairs)))
-        with _told():
+        with _core_faults():
             return Bend(*self.solid.bends(u, self._gravity(None), (0.0, 0.0, 0.0), progress))
 
     def _gravity(self, gravity: ArrayLike | None) -> tuple[float, float, float]:
@@ -321,7 +321,7 @@ def _stored(content: Mapping[str, NDArray[np.generic]], name: str, kinds: str) -
 
 
 def _drive(finger: Finger) -> Floats:
-    """Return what each tendon is told (mm or N) per unit of each command, (T, C)."""
+    """Return the command of each tendon (mm or N) per unit of each command, (T, C)."""
     drive = np.zeros((len(finger.tendons), len(finger.pairs)))
     for c, (pulled, *paid_out) in enumerate(finger.pairs):
         drive[pulled, c] = 1.0
@@ -350,8 +350,8 @@ def _shape(shape: tuple[int | None, ...]) -> str:
 
 
 @contextmanager
-def _told() -> Iterator[None]:
-    """Tell what the core refuses as a fault of the simulation that was asked for."""
+def _core_faults() -> Iterator[None]:
+    """Raise what the core refuses as a SimulationError."""
     try:
         yield
     except _core.CoreError as error:

@@ -160,12 +160,12 @@ def _left_out(sheet: Sheet, time: tuple[str, ...], found: Found) -> list[str]:
 
 
 def _range_of(sheet: Sheet) -> Any:
-    def told(name: str) -> str:
+    def described(name: str) -> str:
         values = sheet.column(name)
         values = values[np.isfinite(values)]
         return f"{name} ({values.min():.4g} to {values.max():.4g})" if len(values) else f"{name} (text)"
 
-    return told
+    return described
 
 
 # --- what is what --------------------------------------------------------------------------
@@ -373,8 +373,8 @@ def _clamp(body: Array, k: int, sign: int) -> tuple[Array, str]:
     """Where the clamp may be, of markers (M, 3) along axis k, and why there."""
     chord = body[-1] - body[0]
     step = float(np.linalg.norm(chord)) / (len(body) - 1)
-    beside = np.linalg.norm(np.cross(body - body[0], chord / np.linalg.norm(chord)), axis=1)
-    if beside.max() < 0.5 * step:  # a chain
+    aside = np.linalg.norm(np.cross(body - body[0], chord / np.linalg.norm(chord)), axis=1)
+    if aside.max() < 0.5 * step:  # a chain
         origin = body[0].copy()
         origin[k] -= sign * step
         return origin, "one marker spacing before the first marker"

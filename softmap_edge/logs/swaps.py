@@ -16,7 +16,9 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 BRIDGED = 0.5  # s without a sight of a marker after which its last place says nothing
-_CLEAR = 0.3  # of the distance between two markers: what a marker may have moved when it is told from the other
+_CLEAR = (
+    0.3  # of the distance between two markers: what a marker may have moved when it is distinguished from the other
+)
 _CHUNK = 2**19  # distances in memory at a time
 
 

@@ -238,9 +238,9 @@ def _finite(cells: Cells, places: list[int], names: list[str]) -> Cells:
     count = np.isinf(cells.numbers).sum(axis=0)
     if not count.any():
         return cells
-    told = [f"{names[places[j]]} {count[j]}" for j in np.flatnonzero(count)[:_TOLD]]
+    counted = [f"{names[places[j]]} {count[j]}" for j in np.flatnonzero(count)[:_TOLD]]
     more = f" and {int((count > 0).sum()) - _TOLD} more" if (count > 0).sum() > _TOLD else ""
-    note = f"infinite values of {len(cells.numbers)} rows are taken as missing: {', '.join(told)}{more}"
+    note = f"infinite values of {len(cells.numbers)} rows are taken as missing: {', '.join(counted)}{more}"
     numbers = np.where(np.isinf(cells.numbers), np.nan, cells.numbers)
     return replace(cells, numbers=numbers, notes=(*cells.notes, note))
 

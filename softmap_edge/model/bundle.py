@@ -28,12 +28,11 @@ import json
 import math
 import os
 import shutil
-import sys
 import tempfile
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -138,9 +137,10 @@ def save_bundle(model: Model, path: str | Path) -> Path:
 
 
 def _loaded() -> Mapping[str, OwnEffect]:
-    """Return the own effects of this process by name; none before the module that loads them is needed."""
-    module = sys.modules.get("softmap_edge.model.user_effect")
-    return {} if module is None else cast("Mapping[str, OwnEffect]", module.loaded())
+    """Return the own effects of this process by name; their module is loaded for models with effects only."""
+    from softmap_edge.model.user_effect import loaded
+
+    return loaded()
 
 
 def _umask() -> int:

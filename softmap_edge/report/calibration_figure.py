@@ -50,21 +50,21 @@ def _plane(axes: Axes, found: Calibrated) -> None:
         axes.plot(held.ticks[:, 0], held.u[:, 0], "o", color=INK, markersize=3.5)
         axes.set(xlabel="servo 0, ticks", ylabel=f"command 0, {unit}")
         return
-    u, at, told = held.u[:, :2], mapped[:, :2], held.observed[:, :2]
-    step = np.where(told, u - at, 0.0)
+    u, at, observed = held.u[:, :2], mapped[:, :2], held.observed[:, :2]
+    step = np.where(observed, u - at, 0.0)
     length = np.linalg.norm(step[good], axis=1)
     usual = float(np.quantile(length, 0.95)) if len(length) else 0.0
     width = float(np.ptp(at, axis=0).max())
     factors = np.array([1, 2, 5, 10, 20, 50, 100, 200, 500, 1000])
     factor = int(factors[factors * max(usual, 1e-12) <= ARROW * width].max(initial=1))
-    whole = good & told.all(axis=1)
+    complete = good & observed.all(axis=1)
     for rows, colour in ((good, AFTER), (~good, BEFORE)):
         axes.quiver(
             at[rows, 0], at[rows, 1], *(factor * step[rows]).T, angles="xy", scale_units="xy", scale=1.0, color=colour,
             width=0.004, zorder=2,
         )  # fmt: skip
-    axes.plot(*at[whole].T, "o", color=INK, markersize=3.5, linestyle="none", label="held")
-    part = good & ~told.all(axis=1)
+    axes.plot(*at[complete].T, "o", color=INK, markersize=3.5, linestyle="none", label="held")
+    part = good & ~observed.all(axis=1)
     axes.plot(*at[part].T, "o", color=INK, markersize=4.0, fillstyle="none", linestyle="none", label="one pair slack")
     if not good.all():
         axes.plot(*at[~good].T, "x", color=BEFORE, markersize=6.0, linestyle="none", label="set aside")

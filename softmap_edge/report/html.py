@@ -249,7 +249,7 @@ def _kind(story: Story) -> str:
 
 
 def _short(story: Story) -> str:
-    """The same for the captions, where the top of the page has said it in full."""
+    """The same for the captions, where the top of the page gives it in full."""
     return f"; {story.series.kind}" if story.series is not None and story.series.kind != "measured" else ""
 
 
@@ -270,15 +270,15 @@ def _sentence(story: Story) -> str:
         return VERDICTS.get(str((story.diagnosis or {}).get("verdict")), "")
     old = story.before.error["rms_mm"]
     kind = story.series.kind if story.series else ""
-    told = {"held out": "a run that was not fitted", "fitted": "the run that was fitted"}.get(kind, "nothing is fitted")
+    data = {"held out": "a run that was not fitted", "fitted": "the run that was fitted"}.get(kind, "nothing is fitted")
     if story.after is None:
-        text = f"The model is off by {mm(old)} {story.unit} RMS over {story.before.frames} frames ({told})"
+        text = f"The model is off by {mm(old)} {story.unit} RMS over {story.before.frames} frames ({data})"
         floor, most = story.before.noise_floor_mm, "at most " * story.before.floor_is_bound
         return text + (f"; {_noise(story)} is {most}{mm(floor)} {story.unit}." if floor is not None else ".")
     new = story.after.error["rms_mm"]
     if new > old:
-        return f"The error rises from {mm(old)} to {mm(new)} {story.unit} RMS ({told}): the second model is worse."
-    return f"The error falls from {mm(old)} to {mm(new)} {story.unit} RMS ({told})."
+        return f"The error rises from {mm(old)} to {mm(new)} {story.unit} RMS ({data}): the second model is worse."
+    return f"The error falls from {mm(old)} to {mm(new)} {story.unit} RMS ({data})."
 
 
 def _cards(story: Story) -> list[Card]:
@@ -290,16 +290,16 @@ def _cards(story: Story) -> list[Card]:
         old, new = story.before.error["rms_mm"], story.after.error["rms_mm"] if story.after else None
         floor, origin = story.floor or (story.before.noise_floor_mm, f"noise, RMS; {story.before.floor_kind}")
         kind = story.series.kind if story.series else ""
-        told = {"held out": "a run not fitted", "fitted": "the run fitted"}.get(kind, "this run")
-        note = f"all {_things(story)}, {told}"
+        data = {"held out": "a run not fitted", "fitted": "the run fitted"}.get(kind, "this run")
+        note = f"all {_things(story)}, {data}"
     else:
-        told = str(error.get("kind", "held out"))
+        data = str(error.get("kind", "held out"))
         steps = [value for name, value in ladder_steps(error) if name.startswith("+") and name != STATIC_ADDED]
         old, new = number(error.get("model")), steps[-1] if steps else None
         floor, origin, note = (
             number(error.get("floor")),
             str(error.get("floor_kind") or "floor"),
-            told,
+            data,
         )
     rows = [Card("error before" if new is not None else "error", f"{mm(old)} {story.unit}", f"RMS, {note}", "before")]
     if number(new) is not None and number(old) is not None:
@@ -309,7 +309,7 @@ def _cards(story: Story) -> list[Card]:
             Card(
                 "of the removable error gone",
                 percent(share),
-                f"{percent(fall(old, new))} of the raw error; {told}",
+                f"{percent(fall(old, new))} of the raw error; {data}",
                 "after",
             )
         )
@@ -318,8 +318,8 @@ def _cards(story: Story) -> list[Card]:
         tip = story.before.error["tip_rms_mm"]
         most = f"{mm(story.before.error['p95_mm'])} {story.unit}"
         if story.places:
-            rows.insert(1, Card("error of the tip", f"{mm(tip)} mm", f"RMS, {told}", "before"))
-        rows.insert(1 + story.places, Card(f"95 % of {_things(story)} within", most, told, "before"))
+            rows.insert(1, Card("error of the tip", f"{mm(tip)} mm", f"RMS, {data}", "before"))
+        rows.insert(1 + story.places, Card(f"95 % of {_things(story)} within", most, data, "before"))
     return rows
 
 

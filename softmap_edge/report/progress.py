@@ -1,4 +1,4 @@
-"""What an experiment has settled: the open questions of an earlier diagnosis beside those of a later one."""
+"""What an experiment has settled: the open questions of an earlier diagnosis next to those of a later one."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ def _open(title: str, document: Document) -> list[str]:
     others = list(dict.fromkeys(alternative_name(row) for row in document["alternatives"]))
     hidden = [str(row.get("name")) for row in document["not_testable"]]
     verdict = str(document["verdict"]).replace("_", " ")
-    said = f"{title:<9} {found} ({verdict}); alternatives: {', '.join(others) or 'none'}"
-    return _folded(said + f"; not testable: {', '.join(hidden) or 'none'}")
+    line = f"{title:<9} {found} ({verdict}); alternatives: {', '.join(others) or 'none'}"
+    return _folded(line + f"; not testable: {', '.join(hidden) or 'none'}")
 
 
 def _asked(document: Document) -> list[str]:

@@ -39,8 +39,8 @@ def track_figure(kinematics: Kinematics, course: Course, tracked: Tracked | None
         across, up = (AXES.index(axis) for axis in kinematics.axes[:2])
         _reach(left, kinematics, across, up)
         plan = course.plan
-        wanted = plan.targets[course.counts]
-        left.plot(wanted[:, across], wanted[:, up], color=INK, linewidth=2.4, label="wanted")
+        target = plan.targets[course.counts]
+        left.plot(target[:, across], target[:, up], color=INK, linewidth=2.4, label="wanted")
         if seen and tracked is not None:
             left.plot(tracked.tip[:, across], tracked.tip[:, up], color=AFTER, linewidth=1.2, label="seen")
             _errors(right, course, tracked)
@@ -50,7 +50,7 @@ def track_figure(kinematics: Kinematics, course: Course, tracked: Tracked | None
             _commands(right, plan, kinematics.model.command_unit)
         out = plan.unreachable[course.counts] > 0.01
         if out.any():
-            left.plot(wanted[out, across], wanted[out, up], ".", color=BEFORE, markersize=4, label="out of reach")
+            left.plot(target[out, across], target[out, up], ".", color=BEFORE, markersize=4, label="out of reach")
         left.set(xlabel=f"{AXES[across]}, mm", ylabel=f"{AXES[up]}, mm", aspect="equal")
         _closer(left, [line.get_xydata() for line in left.lines if line.get_label() != EDGE])
         left.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2, frameon=False)

@@ -5,9 +5,9 @@
 Slopes are exact (rust/rod/elastic_slopes.rs). Held-out error: each fold is predicted by a refit without it. A fold is a
 part of the run's `block` labels (dealt out in turn, so that no fold holds all of one kind of move), else a block of
 time. Uncertainty: the larger of what the linearised fit says with frames taken as independent, and of the spread of
-those refits (jackknife), since neighbouring frames repeat the same form error. A number is *not told* by the run when
-it is left less certain than a guess (`Kind.doubt`), or when it is less certain than a tenth of one and follows another
-(`TRADED`). tests/rod/test_elastic.py pins exact recovery, the folds, and what is told.
+those refits (jackknife), since neighbouring frames repeat the same form error. A number is *not identified* by the run
+when it is left less certain than a guess (`Kind.doubt`), or when it is less certain than a tenth of one and follows
+another (`TRADED`). tests/rod/test_elastic.py pins exact recovery, the folds, and what is identified.
 """
 
 from __future__ import annotations
@@ -34,11 +34,11 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 
 STARTS = 4
-BESIDE_ROD = (1, 2)  # degrees of the polynomial that supports a described rod while its delay is fitted
+SUPPORT_DEGREES = (1, 2)  # degrees of the polynomial that supports a described rod while its delay is fitted
 MOST_SEEN, LEAST_FRAMES = 8000, 200  # markers times frames of a fit; more frames, but not these, are thinned evenly
 CHUNK = 4_000_000  # slopes by all numbers that are held at once
 EXACT = 1e-4  # mm: no camera sees better, so that a perfect fit is not infinitely sure
-TRADED = 0.995  # correlation of two numbers from which the run tells them only together
+TRADED = 0.995  # correlation of two numbers from which the run identifies them only together
 
 
 def fit_elastic(seen: ReferenceFrames, robot: Robot, parts: Folds, seed: int, static: bool) -> Fitted:
@@ -80,10 +80,10 @@ def _memory(seen: ReferenceFrames, robot: Robot, fitted: Floats, seed: int) -> M
     Other memory is left to the diagnosis: the rod has laws of its own for slack and friction.
     """
     few = seen.every(-(-len(seen.t) // FRAMES))
-    rod, parts = robot.layout.compiled(fitted), search_folds(few, Basis(max(BESIDE_ROD)))
+    rod, parts = robot.layout.compiled(fitted), search_folds(few, Basis(max(SUPPORT_DEGREES)))
     smallest = min(len(train) for train, _ in parts)
     degree = max(
-        [d for d in BESIDE_ROD if 2 * len(_core.monomial_degrees(seen.drive.channels, d)) < smallest], default=1
+        [d for d in SUPPORT_DEGREES if 2 * len(_core.monomial_degrees(seen.drive.channels, d)) < smallest], default=1
     )
     static = StaticMap(
         few.markers.reshape(len(few.markers), -1),
@@ -151,8 +151,8 @@ class Data:
         """Return the residuals of some frames as `descend` asks for them."""
         some = np.arange(len(self.u)) if frames is None else frames
 
-        def at(x: Floats, wanted: bool) -> tuple[Floats, Floats]:
-            return self.residuals(x, some).reshape(-1), self.slopes(x, some) if wanted else np.zeros((0, len(x)))
+        def at(x: Floats, slopes_needed: bool) -> tuple[Floats, Floats]:
+            return self.residuals(x, some).reshape(-1), self.slopes(x, some) if slopes_needed else np.zeros((0, len(x)))
 
         return at
 
@@ -177,21 +177,21 @@ def cross_validate(data: Data, x: Floats, parts: Folds) -> tuple[Floats, Floats]
     return residuals, np.stack(refits)
 
 
-# --- what is told --------------------------------------------------------------------------------
+# --- identified numbers --------------------------------------------------------------------------------
 
 
 def numbers(data: Data, x: Floats, refits: Floats) -> tuple[FittedNumber, ...]:
-    """Return what the fit says of each free number."""
+    """Return the fitted value of each free number."""
     space, everything = data.coordinates, np.arange(len(data.u))
     residual, jacobian = data.residuals(x).reshape(-1), data.slopes(x, everything)
     spread, traded = _linear(jacobian, space.doubt, float(residual @ residual) / max(1, len(residual) - len(x)))
     folds = len(refits)
     jackknife = np.sqrt((folds - 1.0) / folds * ((refits - refits.mean(axis=0)) ** 2).sum(axis=0))
     sigma = np.maximum(spread, jackknife)
-    told = space.fitted_numbers(x, np.minimum(sigma, 1e3))
+    numbers = space.fitted_numbers(x, np.minimum(sigma, 1e3))
     at_bound = (x <= space.low + 1e-9) | (x >= space.high - 1e-9)
     found = []
-    for i, (value, deviation, unit) in enumerate(told):
+    for i, (value, deviation, unit) in enumerate(numbers):
         partner = int(np.argmax(np.abs(traded[i])))
         note = ""
         if sigma[i] > space.doubt[i]:
@@ -205,7 +205,7 @@ def numbers(data: Data, x: Floats, refits: Floats) -> tuple[FittedNumber, ...]:
 def _linear(jacobian: Floats, doubt: Floats, variance: float) -> tuple[Floats, Floats]:
     """Return one standard deviation of each x from the linearised fit, and their correlations without the diagonal.
 
-    A guess of width ten `doubt` stands beside the data, so that a direction which the data do not see at all stays
+    A guess of width ten `doubt` is added to the data, so that a direction which the data do not see at all stays
     finite.
     """
     scaled = jacobian * doubt  # x in units of doubt

@@ -214,12 +214,16 @@ class LawFit:
         """Return the residuals of the frames `rows`, and their slopes by differences within the range."""
         kept = slice(None) if rows is None else rows
 
-        def at(x: Floats, wanted: bool) -> tuple[Floats, Floats]:
+        def at(x: Floats, slopes_needed: bool) -> tuple[Floats, Floats]:
             steps = np.where(x > 1.0 - STEP, -STEP, STEP)
-            sets = np.vstack([x, x + np.diag(steps)]) if wanted else x[None]
+            sets = np.vstack([x, x + np.diag(steps)]) if slopes_needed else x[None]
             rolled = self.drive.rolled(law.chain, law.params(sets))
             found = [self.static.residual(v, rows)[kept].ravel() for v in rolled]
-            slopes = np.stack([(ahead - found[0]) / step for ahead, step in zip(found[1:], steps)]) if wanted else None
+            slopes = (
+                np.stack([(ahead - found[0]) / step for ahead, step in zip(found[1:], steps)])
+                if slopes_needed
+                else None
+            )
             return found[0], np.zeros((0, len(x))) if slopes is None else slopes.T
 
         return at

@@ -126,7 +126,7 @@ class _Found:
 
     @property
     def certainty(self) -> Certainty:
-        """Whether the law is identified: strong, not at a bound, no alternative as good, little left unexplained."""
+        """Whether the law is identified: strong, not at a bound, no alternative as good, little unexplained error."""
         if self.short or self.more or self.rest or self.fitted.bounded.any():
             return "open"
         alike = any(self._is_as_good(other) for other in self.alternatives)
@@ -191,7 +191,7 @@ class _Search:
             if not (family.fast and self.seen.slow or family.timed and self.seen.timeless)
             and not (family.static and (self.static.splined or self.static.basis.intervals))
         ]
-        every = (_Represented(f, self.static.losses(acting, self._beside(f, found))) for f in possible)
+        every = (_Represented(f, self.static.losses(acting, self._signals_alongside(f, found))) for f in possible)
         return sorted(every, key=lambda one: float(one.losses.sum()))
 
     def _static_suffices(self, represented: Sequence[_Represented], acting: Floats, found: Sequence[_Found]) -> bool:
@@ -322,7 +322,7 @@ class _Search:
 
     # --- evidence --------------------------------------------------------------------------------
 
-    def _beside(self, family: Family, found: Sequence[_Found]) -> Floats:
+    def _signals_alongside(self, family: Family, found: Sequence[_Found]) -> Floats:
         """Return the columns (n, J) of a family: its signals about the effective commands, and their powers."""
         parts = []
         middle, half = self.seen.drive.middle, self.seen.drive.half

@@ -99,9 +99,9 @@ def _robot(top: TomlTable) -> Robot:
     segments = body.integer("segments", None, 1, 32)
     if segments is None:
         raise RobotError(f"{body.where}: segments is missing; say how many parts bend, each evenly")
-    ends = _whole(tendons, "segment", None, segments)
+    ends = _integers(tendons, "segment", None, segments)
     count = len(ends)
-    channel = _whole(tendons, "command", list(range(1, count + 1)), _MOST)
+    channel = _integers(tendons, "command", list(range(1, count + 1)), _MOST)
     if len(channel) != count or sorted(set(channel)) != list(range(1, max(channel) + 1)):
         raise RobotError(
             f"{tendons.where}: command names {sorted(set(channel))} for {len(channel)} of {count} tendons; give each "
@@ -155,7 +155,7 @@ def _spread(table: TomlTable, key: str, count: int, default: float | None, low: 
     return np.broadcast_to(flat, count).astype(float)
 
 
-def _whole(table: TomlTable, key: str, default: Sequence[int] | None, most: int) -> list[int]:
+def _integers(table: TomlTable, key: str, default: Sequence[int] | None, most: int) -> list[int]:
     value = table.get(key, (list,), default)
     good = (
         isinstance(value, list) and 1 <= len(value) <= _MOST and all(type(v) is int and 1 <= v <= most for v in value)

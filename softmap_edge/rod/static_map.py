@@ -26,7 +26,7 @@ from softmap_edge.run.folds import Folds
 Floats = NDArray[np.float64]
 Index = NDArray[np.intp]
 
-BESIDE = tuple(np.geomspace(1e-6, 1.0, 7).tolist())  # ridges of columns added to the map, for columns of unit spread
+ADDED_RIDGES = tuple(np.geomspace(1e-6, 1.0, 7).tolist())  # for columns of unit spread added to the map
 SPLINED = 1e-4  # ridge of the B-splines of a splined map
 STILL = 1e-9  # spread of a column that does not move
 FLOOR = 1e-9  # of a column's mean square, added to each system: columns that follow from others are shared evenly
@@ -64,19 +64,19 @@ class StaticMap:
         columns, penalty = self._columns(acting)
         return float(_Folded(columns, self.left(acting), self.parts).losses(penalty).sum())
 
-    def losses(self, acting: Floats, beside: Floats | None = None) -> Floats:
-        """Return the held-out loss (folds,) mm², with further columns (n, J) `beside` the map if they are given."""
+    def losses(self, acting: Floats, extra: Floats | None = None) -> Floats:
+        """Return the held-out loss (folds,) mm², with `extra` columns (n, J) added to the map if given."""
         (columns, penalty), targets = self._columns(acting), self.left(acting)
         folded = _Folded(columns, targets, self.parts)
         alone = [folded.losses(ridge * penalty) for ridge in RIDGE_STEPS]
         best = int(np.argmin([losses.sum() for losses in alone]))
-        if beside is None:
+        if extra is None:
             return alone[best]
-        spread = beside.std(axis=0)
+        spread = extra.std(axis=0)
         moving = spread > STILL
-        folded = _Folded(np.concatenate([columns, beside[:, moving] / spread[moving]], axis=1), targets, self.parts)
+        folded = _Folded(np.concatenate([columns, extra[:, moving] / spread[moving]], axis=1), targets, self.parts)
         added = np.ones(int(moving.sum()))
-        found = [folded.losses(np.append(RIDGE_STEPS[best] * penalty, ridge * added)) for ridge in BESIDE]
+        found = [folded.losses(np.append(RIDGE_STEPS[best] * penalty, ridge * added)) for ridge in ADDED_RIDGES]
         return min(found, key=lambda losses: float(losses.sum()))
 
     def _columns(self, acting: Floats) -> tuple[Floats, Floats]:

@@ -50,7 +50,7 @@ PROGRESS: Progress = lambda what, share: None  # noqa: E731
 
 
 def model_from_file(path: str | Path, progress: Progress | None = None) -> Model:
-    """Return the model of a sweep file: one of `softmap model sweep`, as from its finger, or one made elsewhere.
+    """Return the model of a sweep file: one of `softmap model sweep`, as from its finger, or an imported one.
 
     Raises:
         SoftmapError: a field is missing or wrong, with one line.
@@ -132,7 +132,7 @@ def model_from_shapes(sweep: ShapeSweep, source: Document | None = None, progres
         "held_out": "interpolation of the sweep, by leaving out", "notes": notes,
         "gravity": "as given" if sweep.gravity is not None else "not given, taken as hanging",
         "length_mm": round(line.length, 4), "lean_deg": round(line.lean_deg, 3), "bow_mm": round(line.bow_mm, 4),
-        "compliance": _told(stiffness),
+        "compliance": _described(stiffness),
     }  # fmt: skip
     return replace(
         model.with_structure(fields=fields_from(stored), stiffness_known=stiffness.known),
@@ -270,7 +270,7 @@ def _fields(sweep: ShapeSweep, line: Centreline, shape: _core.Shape, stiffness: 
     return arrays | {f"coefficients_{name}": value.astype(kind) for name, value in values.items()}
 
 
-def _told(stiffness: Stiffness) -> Document | str:
+def _described(stiffness: Stiffness) -> Document | str:
     if not stiffness.known:
         return NOMINAL
     return {

@@ -1,4 +1,4 @@
-"""Say how a body that was swept elsewhere bends when a stretch of it is stiffer: by the bend that its own line shows.
+"""Say how a body of an imported sweep bends when a stretch of it is stiffer: by the bend that its own line shows.
 
 A body that tendons of given shortening bend keeps its total bend: a stretch that is stiffer bends less, all others
 more, each as it bends already. With κ(s) the curvature of the line less that at rest, in frames carried along it
@@ -42,14 +42,14 @@ def stretch_fields(line: Centreline, points: Floats, rest: Floats, lock: float) 
     # At the start, the middle and the end of each chord, as `moved` integrates them by Simpson's rule.
     nodes = [curvature[:, :-1], 0.5 * (curvature[:, :-1] + curvature[:, 1:]), curvature[:, 1:]]
     weights = [part * np.diff(line.arc) for part in (1 / 6, 4 / 6, 1 / 6)]
-    whole = sum(np.einsum("j,kjb->kb", w, node) for w, node in zip(weights, nodes))
-    size = np.maximum(np.sum(whole**2, axis=1), STRAIGHT)
+    total_bend = sum(np.einsum("j,kjb->kb", w, node) for w, node in zip(weights, nodes))
+    size = np.maximum(np.sum(total_bend**2, axis=1), STRAIGHT)
     arcs, found = (line.arc[:-1], 0.5 * (line.arc[:-1] + line.arc[1:]), line.arc[1:]), {}
     for k, name in enumerate(NAMES):
         away = [arc / line.length * (len(NAMES) - 1) - k for arc in arcs]
         hats = [np.where(np.abs(a) < 1.0, np.cos(0.5 * np.pi * a) ** 2, 0.0) for a in away]
         part = sum(np.einsum("j,kjb->kb", w * hat, node) for w, hat, node in zip(weights, hats, nodes))
-        mean = lock * np.sum(whole * part, axis=1)[:, None, None] / size[:, None, None]
+        mean = lock * np.sum(total_bend * part, axis=1)[:, None, None] / size[:, None, None]
         bends = [-(hat[:, None] - mean) * node for hat, node in zip(hats, nodes)]
         bending = [np.einsum("kjab,kjb->kja", frames, bend) for bend in bends]
         found[name] = moved(line, points, stations, length, bending)

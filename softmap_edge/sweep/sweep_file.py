@@ -14,7 +14,7 @@ An `.npz` archive (numpy.savez); docs/do/import_sweep.md explains every field wi
     loaded_vertices  (L, N, 3)  the shapes that it gave,
     mass             number     g, the body's own mass beyond the clamp
 
-Every field is checked; the first that is wrong is named with what was expected. Other fields are ignored, and said so.
+Every field is checked; the first that is wrong is named with what was expected. Other fields are ignored with a note.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ _TEXTS = ("robot", "command_unit", "schema")
 
 @dataclass(frozen=True, eq=False)
 class ShapeSweep:
-    """A checked sweep: every command once; `notes` say what was done to it and what it leaves open."""
+    """A checked sweep: every command once; `notes` report what was done to it and what it leaves open."""
 
     command: Floats  # (S, C)
     vertices: Floats  # (S, N, 3) mm
@@ -178,8 +178,8 @@ def _shapes(numbers: Mapping[str, Floats]) -> None:
         for axis, length in zip(_NUMBERS[name], value.shape):
             known, by = sizes.setdefault(axis, (length, name))
             if known != length:
-                said = f" as in `{by}`" if by else ": x, y, z"
-                raise SweepError(f"`{name}` has shape {value.shape}, its axis {axis} should be {known}{said}")
+                hint = f" as in `{by}`" if by else ": x, y, z"
+                raise SweepError(f"`{name}` has shape {value.shape}, its axis {axis} should be {known}{hint}")
     rows, points, channels = sizes["S"][0], sizes["N"][0], sizes["C"][0]
     if channels == 0:
         raise SweepError("`command` has no columns (C = 0); a sweep moves at least one tendon")

@@ -127,12 +127,12 @@ class Truth:
         return self.shapes_by(lambda body, m, g, f, u: _interpolated(body, m, g, f, u, steps), protocol)
 
     def shapes_by(self, body: Body, protocol: Protocol, every: int = 1) -> Floats:
-        """Return the points (K, N, 3) mm of a `body`, told finger, modulus, gravity g, tip force N and u (n, C)."""
+        """Return the points (K, N, 3) mm of a `body`, given finger, modulus, gravity g, tip force N and u (n, C)."""
         u = self.to_body(protocol)
         points = np.empty((protocol.frames, *template(self.finger).shape))
         for frames, gravity, force in self._weights(protocol):
-            wanted = frames[frames % every == 0]
-            points[wanted] = body(self.finger, self.modulus, gravity, force, u[wanted])
+            chosen = frames[frames % every == 0]
+            points[chosen] = body(self.finger, self.modulus, gravity, force, u[chosen])
         points = points[::every]
         for effect in self.hidden:
             points = effect.law.seen(points)

@@ -5,11 +5,11 @@
 
 The virtual finger (`synthetic/virtual_finger.py`) stands in for hardware, is simulated, and has what the model lacks:
 other elements and material, turned tendons, friction, a lean. A bundle that was calibrated on it sends ticks; without a
-calibration, as a rival's, the servos turn as told, by the map that they really have.
-A figure lies about the tip at rest: a model's own while it is solved, the executed finger's own while it is judged, so
-that where a finger merely hangs otherwise does not count. The tip is the middle of the vertices that move most, on a
-rival's own points while it is solved. Errors are distances in mm in the plane of the figure, at the waypoints.
-The paper's figures are of another finger, simulator, letters and amplitude. Pinned by
+calibration, as for the alternative, the servos turn as commanded, by the map that they really have.
+A figure lies about the tip at rest: a model's own while it is solved, the executed finger's own while it is evaluated,
+so that where a finger merely hangs otherwise does not count. The tip is the middle of the vertices that move most, on
+the alternative's own points while it is solved. Errors are distances in mm in the plane of the figure, at the
+waypoints. The paper's figures are of another finger, simulator, letters and amplitude. Pinned by
 tests/synthetic/test_table_two.py.
 """
 
@@ -40,7 +40,7 @@ Progress = Callable[[str, float], None]
 
 LETTERS = ("S", "H", "O", "E")
 PLANE = "xy"
-OURS, UNDONE, RIVAL = "ours", "ours, effects compensated", "rival"
+OURS, COMPENSATED, RIVAL = "ours", "ours, effects compensated", "rival"
 WHERE = ("simulator", "stand_in")
 # Table II: mean, standard deviation and largest in mm, in simulation and on hardware; the paper's own data.
 PUBLISHED_ERRORS = {
@@ -68,14 +68,14 @@ class Row:
     unreachable: float
 
     def to_dict(self) -> Document:
-        """Return means, standard deviations and the largest, with the paper's beside them."""
+        """Return means, standard deviations and the largest, with those of the paper."""
         found: Document = {"figure": self.figure, "model": self.model, "unreachable_mm": self.unreachable}
         found |= {f"{name}_mm": spread(getattr(self, name)) for name in ("expected", *WHERE)}
         published = PUBLISHED_ERRORS.get((self.figure, self.model))
         if published is None:
             return found | {"paper": None}
-        told = (dict(zip(("mean", "sd", "max"), of)) for of in published)
-        return found | {"paper": dict(zip(("simulation_mm", "hardware_mm"), told)) | {"on": "other data"}}
+        figures = (dict(zip(("mean", "sd", "max"), of)) for of in published)
+        return found | {"paper": dict(zip(("simulation_mm", "hardware_mm"), figures)) | {"on": "other data"}}
 
 
 @dataclass(frozen=True)
@@ -89,9 +89,10 @@ class Contender:
 
 
 def contenders(model: Model, rival: Model | None, finger: VirtualFinger) -> list[Contender]:
-    """Return who is compared: the model without its effects, with them if it has some, and a rival.
+    """Return the models that are compared: without effects, with them if there are some, and the alternative.
 
-    What is learned on top of the effects goes with them; they are undone in the orientation that the stand-in declares.
+    What is learned on top of the effects goes with them; they are compensated in the orientation that the stand-in
+    declares.
 
     Raises:
         SoftmapError: a model of another finger.
@@ -107,7 +108,7 @@ def contenders(model: Model, rival: Model | None, finger: VirtualFinger) -> list
     found.append(Contender(OURS, plain, None, map_))
     if model.chain_names:
         leaning = np.asarray(HANGING) @ rotation((*finger.declared_deg, 0.0)).T
-        found.append(Contender(UNDONE, model, leaning, map_))
+        found.append(Contender(COMPENSATED, model, leaning, map_))
     if rival is not None:
         found.append(Contender(RIVAL, rival, None, map_))
     return found
@@ -128,9 +129,14 @@ def table_two(
     """Lead all letters by all models, and replay each sequence on both fingers.
 
     Args:
-        model: ours. rival: another, as `softmap train prior --model deepsoro` makes it. seed: draws the stand-in; a
-        bundle should be calibrated on that of the same seed. amplitude: mm. duration: s. rate: waypoints a second.
-        method: how inverse kinematics is solved. progress: told what is done and the share.
+        model: ours.
+        rival: an alternative, as `softmap train prior --model deepsoro` makes it.
+        seed: draws the stand-in; a bundle should be calibrated on that of the same seed.
+        amplitude: of the letters, mm.
+        duration: s.
+        rate: waypoints a second.
+        method: how inverse kinematics is solved.
+        progress: called with what is done and the share.
 
     Raises:
         SoftmapError: a model of another finger, or as `course`.
@@ -145,7 +151,7 @@ def table_two(
         kinematics = Kinematics(replace(one.model, calibration=one.calibration), gravity=one.gravity, axes=PLANE)
         planned = course(
             kinematics, figure, amplitude=amplitude, duration=duration, rate=rate, slew=[SLEW] * 2,
-            acceleration=[ACCELERATION] * 2, calibration=one.calibration or _told(), method=method,
+            acceleration=[ACCELERATION] * 2, calibration=one.calibration or _servo_map(), method=method,
         )  # fmt: skip
         plan = planned.plan
         seen = np.flatnonzero(np.append(True, planned.counts[1:]))  # at rest, then the figure
@@ -158,7 +164,7 @@ def table_two(
     return rows
 
 
-def _told() -> Calibration:
+def _servo_map() -> Calibration:
     """Return the servos' own map, where the commands of a model are taken as they are."""
     return Calibration.stated(PUBLISHED.slope, PUBLISHED.shift, PUBLISHED.home, "the servos' own map")
 
@@ -176,16 +182,16 @@ def _stand_in(
 
 def _off(planned: Course, tip: Floats, seen: NDArray[np.int64]) -> Floats:
     """Return how far (T,) mm a tip (1 + T, 3), at rest and at waypoints, is from its figure about where it rested."""
-    wanted = planned.plan.targets[seen] - planned.plan.targets[0]
+    target = planned.plan.targets[seen] - planned.plan.targets[0]
     counts = [axis in PLANE for axis in AXES]
-    return np.asarray(np.linalg.norm(((tip - tip[0]) - wanted)[1:, counts], axis=1))
+    return np.asarray(np.linalg.norm(((tip - tip[0]) - target)[1:, counts], axis=1))
 
 
 def text_of(document: Document) -> str:
-    """Return the table as text, the paper's columns beside ours."""
+    """Return the table as text, with the paper's columns."""
 
-    def numbers(told: Document | None) -> str:
-        return "–" if told is None else "{mean:.2f} ± {sd:.2f}, {max:.2f}".format(**told)
+    def numbers(document: Document | None) -> str:
+        return "–" if document is None else "{mean:.2f} ± {sd:.2f}, {max:.2f}".format(**document)
 
     head = ("", "", "the model itself", "simulator", "stand-in", "paper: simulation", "paper: hardware")
     lines = [head]
@@ -196,9 +202,9 @@ def text_of(document: Document) -> str:
         name = document["rival"] or RIVAL if row["model"] == RIVAL else row["model"]
         lines.append((row["figure"], name, *map(numbers, columns)))
     widths = [max(len(line[k]) for line in lines) for k in range(len(head))]
-    told = ["  ".join(cell.ljust(width) for cell, width in zip(line, widths)).rstrip() for line in lines]
+    text = ["  ".join(cell.ljust(width) for cell, width in zip(line, widths)).rstrip() for line in lines]
     effects = ", ".join(document["effects"]) or "none"
-    told += [
+    text += [
         f"mm in the plane: mean ± standard deviation, largest, at {document['waypoints']} waypoints a letter, "
         f"half a side {document['amplitude_mm']:g} mm; solved by method '{document['method']}'; "
         f"effects of the bundle: {effects}.",
@@ -207,5 +213,5 @@ def text_of(document: Document) -> str:
     ]
     far = max(row["unreachable_mm"] for row in document["rows"])
     if far > 0.01:
-        told.append(f"Some waypoints are out of reach of a model, or missed by that method, by up to {far:.2f} mm.")
-    return "\n".join(told)
+        text.append(f"Some waypoints are out of reach of a model, or missed by that method, by up to {far:.2f} mm.")
+    return "\n".join(text)

@@ -60,7 +60,7 @@ def test_frames_of_which_little_is_seen_are_told_with_the_others(names):
     for runs in (replace(run, visible=dark), [replace(run, visible=dark), run]):
         problem = problem_of(record_of(builtin_model(), runs), ["backlash", "payload", "camera_drift", "lag"])
         hidden = ~np.isfinite(problem.record.seen).all(axis=1)
-        assert 5 < hidden.sum() < 0.25 * len(hidden) and problem._told().few is not None
+        assert 5 < hidden.sum() < 0.25 * len(hidden) and problem._projected().few is not None
         space = problem.space(names)
         x = np.stack([space.start, 0.7 * space.start][: 2 if names else 1])
         whole = problem.modes(problem.record.predict(space.names, space.params(x)))

@@ -74,7 +74,7 @@ def test_a_short_dip_of_the_supply_is_no_fault_and_a_long_one_is(volts):
             bus.supply(0, volts)
             assert held(robot, 0.3) == "engaged", "within the grace"
             bus.supply(0, 5.0)
-            assert held(robot, 0.3) == "engaged", "each dip begins anew"
+            assert held(robot, 0.3) == "engaged", "each dip begins again"
         bus.supply(0, volts)
         with pytest.raises(ServoError, match="supply voltage"):
             held(robot, 3.0)

@@ -157,7 +157,7 @@ def test_a_finger_that_hides_nothing_is_said_to_be_led_astray_by_effects_that_ar
     bundle = save_bundle(model.with_effects(["backlash"], {"backlash.gap": 1.0}), tmp_path / "play")
     options = ["--bundle", str(bundle), "--sim", "--amplitude", "3", "--duration", "3", "--rate", "20"]
     assert main(["track", "O", *options]) == 0
-    assert "hides nothing, so undoing backlash leads it astray" in capsys.readouterr().out
+    assert "no hidden effect, so compensating backlash makes tracking worse" in capsys.readouterr().out
 
 
 def test_the_verb_plans_without_a_robot_and_says_what_is_out_of_reach(capsys):

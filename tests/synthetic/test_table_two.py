@@ -10,7 +10,7 @@ from softmap_edge import SoftmapError, builtin_model, save_bundle
 from softmap_edge.cli import main
 from softmap_edge.fem.simulator import Simulator
 from softmap_edge.model.shapes import family_from
-from softmap_edge.synthetic.table_two import OURS, PUBLISHED_ERRORS, RIVAL, UNDONE, table_two, text_of
+from softmap_edge.synthetic.table_two import COMPENSATED, OURS, PUBLISHED_ERRORS, RIVAL, table_two, text_of
 from softmap_edge.synthetic.virtual_finger import virtual_finger
 
 FEW = {"figures": ["O"], "rate": 1.0, "duration": 6.0}
@@ -75,9 +75,9 @@ def test_effects_that_the_stand_in_has_are_undone(model):
     params = {"routing.phase[0]": turn, "routing.phase[1]": turn}
     params |= {"hysteresis.strength": 0.11, "hysteresis.reach": 4.3, "hysteresis.shape": 0.7}
     rows = {row.model: row for row in table_two(model.with_effects(["hysteresis", "routing"], params), None, **FEW)}
-    assert set(rows) == {OURS, UNDONE} and rows[UNDONE].to_dict()["paper"] is None
-    assert rows[UNDONE].stand_in.mean() < 0.6 * rows[OURS].stand_in.mean()
-    assert rows[UNDONE].simulator.mean() > 2 * rows[OURS].simulator.mean()  # which has none of them
+    assert set(rows) == {OURS, COMPENSATED} and rows[COMPENSATED].to_dict()["paper"] is None
+    assert rows[COMPENSATED].stand_in.mean() < 0.6 * rows[OURS].stand_in.mean()
+    assert rows[COMPENSATED].simulator.mean() > 2 * rows[OURS].simulator.mean()  # which has none of them
 
 
 def test_the_verb_prints_the_table_and_the_document_says_the_same(model, tmp_path, capsys):

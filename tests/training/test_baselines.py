@@ -10,7 +10,7 @@ pytest.importorskip("torch")
 from softmap_training import choices, encodings
 from softmap_training.baselines import NAMES, fit_baseline
 from softmap_training.errors import TrainingError
-from softmap_training.evaluate import told_these
+from softmap_training.evaluate import holds_shapes_of
 from softmap_training.prior import Surface, fit_prior, train_prior, vertex_error, with_prior
 
 from softmap_edge import Run, builtin_model, load_bundle, save_bundle
@@ -92,7 +92,7 @@ def test_a_regressor_joins_a_bundle_as_a_table_of_its_own_values(name, tmp_path)
     made = fit_prior(BASE, COMMANDS, POINTS, (TRAIN, TEST[:20], TEST[20:]), name)
     model = load_bundle(save_bundle(with_prior(BASE, made, COMMANDS[TEST[20:]], POINTS[TEST[20:]]), tmp_path / name))
     assert model.kind == "table" and model.made_from["prior"]["kind"] == name
-    assert not told_these(model, tensor_grid(model.prior.axes))  # taught by a part, it is judged on the rest
+    assert not holds_shapes_of(model, tensor_grid(model.prior.axes))  # taught by a part, it is judged on the rest
     nodes = tensor_grid(model.prior.axes)[::17]
     alone = fit_baseline(name, COMMANDS[TRAIN], POINTS[TRAIN]).predict(nodes)
     np.testing.assert_allclose(model.prior.evaluate(nodes), alone, atol=2e-3)

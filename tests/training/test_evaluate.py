@@ -19,8 +19,8 @@ from softmap_training.evaluate import (  # noqa: E402
     Row,
     fall,
     halfway,
+    holds_shapes_of,
     on_shapes,
-    told_these,
 )
 from softmap_training.prior import Surface, train_prior, with_prior  # noqa: E402
 from softmap_training.recordings import Lesson  # noqa: E402
@@ -87,7 +87,7 @@ def test_exact_geometry_scores_chamfer_on_two_views_but_not_surface():
     two = replace(TWO, outliers=0.0, sigma_mm=0.0)
     clouds = [cameras.look(shape[0], MODEL.triangles, rng) for cameras in (two, replace(FULL, sigma_mm=0.0))]
     runs = [replace(run, points=cloud, start=np.array([0, len(cloud)])) for cloud in clouds]
-    seen, whole = (Recording.of(one, MODEL, shape).judge_shapes("x", shape, MODEL.triangles).errors for one in runs)
+    seen, whole = (Recording.of(one, MODEL, shape).evaluate_shapes("x", shape, MODEL.triangles).errors for one in runs)
     assert seen["surface"][0, 0] < 0.02 and seen["chamfer"][0, 0] > 1.5
     assert whole["chamfer"][0, 0] < seen["chamfer"][0, 0] - 0.5
     assert seen["visible"][0, 0] < seen["chamfer"][0, 0] - 0.5  # what nobody saw asks for nothing
@@ -105,8 +105,8 @@ def test_seeds_are_told_as_a_mean_and_how_far_it_moves():
 def test_a_table_is_judged_where_it_was_told_nothing():
     axis = np.asarray(MODEL.prior.axes[0])
     nodes = np.array([[axis[3], axis[30]], [axis[25], axis[20]], [axis[40], axis[0]]])
-    assert told_these(MODEL, nodes) and not told_these(MODEL, nodes + 0.1)
-    assert not told_these(MODEL.with_structure(prior=MODEL.fields["gravity_x"]), nodes + 0.1)
+    assert holds_shapes_of(MODEL, nodes) and not holds_shapes_of(MODEL, nodes + 0.1)
+    assert not holds_shapes_of(MODEL.with_structure(prior=MODEL.fields["gravity_x"]), nodes + 0.1)
     moved, shapes = halfway(MODEL, nodes, Finger.builtin())
     step = axis[1] - axis[0]
     np.testing.assert_allclose(np.abs(moved - nodes), step / 2, rtol=1e-6)
@@ -135,13 +135,13 @@ def test_parts_of_a_recording_are_whole_blocks_and_each_holds_the_smaller_ones(f
     run, true = recorded(4, 2)
     judge = Recording.of(run, MODEL, true)
     found = residuals(lesson, judge, "modes", Plan(), lambda what, share: None)
-    assert [row.told["frames"] for row in found] == [16, 32]  # 8 are too few for a residual
-    before = judge.judge("x", MODEL).errors["vertex"].mean()
+    assert [row.details["frames"] for row in found] == [16, 32]  # 8 are too few for a residual
+    before = judge.evaluate("x", MODEL).errors["vertex"].mean()
     assert found[-1].errors["vertex"].mean() < 0.6 * before
     # From its checkpoints a training ends as it did.
     plan = Plan((0,), 3, tmp_path)
     once, again = (residuals(lesson, judge, "modes", plan, lambda what, share: None) for _ in range(2))
-    assert len(list(tmp_path.iterdir())) == 2 and once[-1].told["kind"] == "modes"
+    assert len(list(tmp_path.iterdir())) == 2 and once[-1].details["kind"] == "modes"
     np.testing.assert_array_equal(once[-1].errors["vertex"], again[-1].errors["vertex"])
 
 
@@ -151,7 +151,7 @@ def test_a_frame_in_which_nothing_is_seen_is_left_out_of_what_is_seen_alone():
     visible = judge.laid.visible.copy()
     visible[1] = False
     doubtful = replace(judge, laid=replace(judge.laid, visible=visible))
-    seen, fewer = (one.judge("x", MODEL) for one in (judge, doubtful))
+    seen, fewer = (one.evaluate("x", MODEL) for one in (judge, doubtful))
     assert np.isnan(fewer.errors["visible"][0, 1]) and np.isfinite(fewer.errors["chamfer"]).all()
     rest = np.delete(seen.errors["visible"][0], 1)
     assert fewer.to_dict()["visible_mm"]["mean"] == pytest.approx(rest.mean())
@@ -300,7 +300,7 @@ def test_clouds_whose_base_stands_off_are_judged_in_the_frame_of_their_base(file
     stood = in_frame(run, RigidPose(rotation(np.radians([1.2, -0.7, 0.0])), np.array([1.0, -0.8, 0.0])), np.zeros(6))
     there, moved = (Recording.of(one, MODEL, true) for one in (run, stood))
     assert there.remarks == [] and "softmap run align" in moved.remarks[0]
-    exact = [judge.judge("x", OFF).errors["surface"].mean() for judge in (there, moved)]
+    exact = [judge.evaluate("x", OFF).errors["surface"].mean() for judge in (there, moved)]
     assert exact[1] < exact[0] + 0.1
 
 

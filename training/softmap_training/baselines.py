@@ -1,4 +1,4 @@
-"""Regressors to stand beside the networks: commands (n, C) mm to points (n, 3N) mm.
+"""Regressors to compare with the networks: commands (n, C) mm to points (n, 3N) mm.
 
 xgboost    gradient-boosted trees to the weights of the leading modes of the training shapes (Chen & Guestrin 2016)
 gp         a Gaussian process on each mode: squared-exponential kernel, a length for each command, one noise; lengths
@@ -51,7 +51,7 @@ def fit_baseline(
     commands: Floats,
     points: Floats,
     seed: int = 0,
-    told: Callable[[float], None] | None = None,
+    progress: Callable[[float], None] | None = None,
     epochs: int | None = None,
     folder: Path | None = None,
 ) -> Fitted:
@@ -69,7 +69,7 @@ def fit_baseline(
         from softmap_training.deepsoro import fit_deepsoro
 
         bodies = list(points.reshape(len(points), -1, 3))
-        return fit_deepsoro(commands, bodies, len(bodies[0]), seed, None, epochs, folder, told)
+        return fit_deepsoro(commands, bodies, len(bodies[0]), seed, None, epochs, folder, progress)
     mean, modes, weights = reduced(points)
     fits = {"xgboost": _xgboost, "gp": _gp, "table": _table}
     regress, numbers = fits[name](commands, weights, seed)
@@ -115,8 +115,8 @@ def _gp(commands: Floats, weights: Floats, seed: int) -> Regressor:
 
     middle, half = commands.mean(axis=0), half_range(commands)
     q, scale = (commands - middle) / half, weights.std(axis=0)
-    y = weights / scale  # the first modes are signal, the last round-off: these tell no lengths
-    telling = y[:, : choices.GP_MODES]
+    y = weights / scale  # the first modes are signal, the last round-off: these show no length scales
+    leading = y[:, : choices.GP_MODES]
     some = np.random.default_rng(seed).permutation(len(q))[: choices.GP_SOME]
 
     def kernel(a: Floats, b: Floats, lengths: Floats) -> Floats:
@@ -129,8 +129,8 @@ def _gp(commands: Floats, weights: Floats, seed: int) -> Regressor:
             lower = np.linalg.cholesky(k)
         except np.linalg.LinAlgError:
             return 1e12
-        fit = np.sum(telling[some] * cho_solve((lower, True), telling[some]))
-        return float(0.5 * fit + telling.shape[1] * np.log(np.diag(lower)).sum())
+        fit = np.sum(leading[some] * cho_solve((lower, True), leading[some]))
+        return float(0.5 * fit + leading.shape[1] * np.log(np.diag(lower)).sum())
 
     start = np.array([*[np.log(0.5)] * q.shape[1], np.log(1e-2)])
     bounds = [*[(np.log(0.02), np.log(20.0))] * q.shape[1], (np.log(1e-4), np.log(1.0))]

@@ -1,8 +1,8 @@
-"""What `softmap evaluate` fits itself, for one seed or several, and judges beside the bundles.
+"""What `softmap evaluate` fits itself, for one seed or several, and evaluates with the bundles.
 
     on a simulated set    priors and baselines, taught by its training part
     on a recording        a decoder in the manner of DeepSoRo, taught by the clouds at the model's calibrated commands;
-                          residuals on top of the model, also on growing parts of the recording, whole blocks of it
+                          residuals on top of the model, also on growing parts of the recording, complete blocks of it
 
 Which blocks make a part is drawn by the seed, and each part holds the smaller ones. Pinned by
 tests/training/test_evaluate.py.
@@ -54,7 +54,7 @@ class Plan:
 
 
 def fitted_to_set(name: str, data: SimulatedSet, surface: Surface, plan: Plan, bar: Progress) -> Row:
-    """Fit a prior or a baseline to the training part of a set, and judge it on the test part.
+    """Fit a prior or a baseline to the training part of a set, and evaluate it on the test part.
 
     Raises:
         TrainingError: the set is too small, or what it needs is not installed.
@@ -78,30 +78,30 @@ def fitted_to_set(name: str, data: SimulatedSet, surface: Surface, plan: Plan, b
             made = baselines.fit_baseline(name, u[train], points[train], seed, say, plan.epochs, folder)
             predict, triangles = made.predict, surface.triangles if made.triangles is None else made.triangles
             took = {"seconds": made.seconds, "parameters": made.numbers}
-        told = {"what": name, "seed": seed, **took}
-        rows.append(on_shapes(name, predict, u[parts.test], points[parts.test], told, triangles))
+        details = {"what": name, "seed": seed, **took}
+        rows.append(on_shapes(name, predict, u[parts.test], points[parts.test], details, triangles))
     return Row.of_seeds(rows)
 
 
-def decoder(lesson: Lesson, judge: Recording, plan: Plan, bar: Progress) -> Row:
-    """Fit a decoder to the clouds of a lesson, and judge it."""
+def decoder(lesson: Lesson, recording: Recording, plan: Plan, bar: Progress) -> Row:
+    """Fit a decoder to the clouds of a lesson, and evaluate it."""
     base, rows = lesson.base, []
     clouds = [thinned(cloud, choices.SAMPLES) for cloud in lesson.clouds]
-    held, asked = lesson.parts[0][1], base.effective_commands(judge.run)  # held out as for a residual
+    held, asked = lesson.parts[0][1], base.effective_commands(recording.run)  # held out as for a residual
     for seed in plan.seeds:
         made = fit_deepsoro(
             lesson.commands, clouds, len(base.rest), seed, held, plan.epochs,
             plan.folder("recording", "deepsoro", seed), partial(bar, "DeepSoRo"),
         )  # fmt: skip
-        told = {"what": "deepsoro", "seed": seed, "seconds": made.seconds, "parameters": made.numbers}
-        told |= {"milliseconds": milliseconds(made.predict, asked), "frames": len(lesson)}
+        details = {"what": "deepsoro", "seed": seed, "seconds": made.seconds, "parameters": made.numbers}
+        details |= {"milliseconds": milliseconds(made.predict, asked), "frames": len(lesson)}
         shapes = made.predict(asked).reshape(len(asked), -1, 3)
-        rows.append(judge.judge_shapes("DeepSoRo", shapes, made.triangles, told, body=False))
+        rows.append(recording.evaluate_shapes("DeepSoRo", shapes, made.triangles, details, body=False))
     return Row.of_seeds(rows)
 
 
-def residuals(lesson: Lesson, judge: Recording, kind: choices.ResidualKind, plan: Plan, bar: Progress) -> list[Row]:
-    """Train a residual on growing parts of a lesson, and judge each; the last row is taught by all of it.
+def residuals(lesson: Lesson, recording: Recording, kind: choices.ResidualKind, plan: Plan, bar: Progress) -> list[Row]:
+    """Train a residual on growing parts of a lesson, and evaluate each; the last row is taught by all of it.
 
     A part that is too small for a residual is left out.
     """
@@ -116,11 +116,11 @@ def residuals(lesson: Lesson, judge: Recording, kind: choices.ResidualKind, plan
             recipe = plan.of(choices.residual_recipe(kind), seed)
             folder = plan.folder("recording", "residual", kind, f"{share:g}", seed)
             model, report = train_residual(lesson.base, lesson.at(some), kind, recipe, folder)
-            told = took(model) | {
+            details = took(model) | {
                 "what": "with residual", "kind": kind, "seed": seed, "seconds": report["seconds"], "share": share,
-                "frames": len(some), "outside": training_extrapolation(model, judge.run),
+                "frames": len(some), "outside": training_extrapolation(model, recording.run),
             }  # fmt: skip
-            rows.append(judge.judge(TITLES[kind], model, told))
+            rows.append(recording.evaluate(TITLES[kind], model, details))
         if rows:
             found.append(Row.of_seeds(rows))
     return found

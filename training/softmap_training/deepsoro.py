@@ -68,7 +68,7 @@ def fit_deepsoro(
     held: Indices | None = None,
     epochs: int | None = None,
     folder: Path | None = None,
-    told: Callable[[float], None] | None = None,
+    progress: Callable[[float], None] | None = None,
 ) -> Fitted:
     """Fit a decoder of `count` points to bodies, each (M, 3) mm, at commands (S, C) mm.
 
@@ -78,7 +78,7 @@ def fit_deepsoro(
         held: which of them teach nothing and say which epoch is best; without them those that teach say it.
         epochs: in place of the usual number; one goes through `choices.DEEPSORO_DRAWN` bodies or more.
         folder: where checkpoints and the log are kept.
-        told: called with the share done.
+        progress: called with the share done.
     """
     seeded(seed)
     network = Folding(commands, bodies, count)
@@ -97,7 +97,7 @@ def fit_deepsoro(
 
     recipe = choices.DEEPSORO.with_(seed=seed, epochs=epochs, passes=math.ceil(choices.DEEPSORO_DRAWN / len(taught)))
     task = Task(network, len(taught), loss, validate, [commands, *bodies, taught])
-    log = fit(task, recipe, folder, (lambda share, _: told(share)) if told else None)
+    log = fit(task, recipe, folder, (lambda share, _: progress(share)) if progress else None)
 
     def predict(v: Floats) -> Floats:
         with torch.no_grad():
@@ -127,7 +127,7 @@ def to_graph(network: Folding) -> bytes:
         weights = _numbers(first.weight)
         graph.at = code
         graph.linear(weights[:, width:], _numbers(first.bias))
-        graph.also("Unsqueeze", graph.whole([1]))  # (n, 1, W)
+        graph.also("Unsqueeze", graph.integers([1]))  # (n, 1, W)
         if place is None:
             graph.add("Add", _numbers(network.grid) @ weights[:, :width].T)  # (n, N, W)
         else:
@@ -141,9 +141,9 @@ def to_graph(network: Folding) -> bytes:
         place = graph.at
     graph.add("Mul", _numbers(network.size)[None])
     graph.add("Add", _numbers(network.middle))
-    graph.also("Reshape", graph.whole([-1, 3 * len(network.grid)]))
-    told = {"kind": "deepsoro"}
-    return graph.file(len(network.middle_u), told, 3 * len(network.grid))
+    graph.also("Reshape", graph.integers([-1, 3 * len(network.grid)]))
+    metadata = {"kind": "deepsoro"}
+    return graph.file(len(network.middle_u), metadata, 3 * len(network.grid))
 
 
 def _numbers(tensor: Tensor) -> Floats:

@@ -1,14 +1,14 @@
-"""The paper's Table I and ours beside it: on simulated shapes of one frozen split, and on a recording.
+"""The paper's Table I and ours: on simulated shapes of one frozen split, and on a recording.
 
     chamfer    mean distance from prediction to target + mean distance back, not squared, mm (as in the paper's tables)
-    visible    the same, of the vertices alone that registration finds in the cloud: what nobody saw asks for nothing
+    visible    the same, of the vertices alone that registration finds in the cloud: unseen vertices do not count
     surface    mean distance from each point of a cloud to the predicted surface, mm: one-sided
-    whole      Chamfer to the true vertices of a recording, where somebody knows them: no view is missing
+    `whole`    Chamfer to the true vertices of a recording, where they are known: no view is missing
     vertex     mean distance from each vertex to where it should be, mm
 
 Every figure is a mean ± standard deviation over frames; of what is drawn by chance, a mean over seeds and the standard
-deviation of that mean from seed to seed beside it. Two views show 55 to 70 % of a body, so that the exact shape scores
-1.8 to 2.5 mm Chamfer on their clouds: `surface`, and where the truth is known `vertex`, tell shapes apart there. The
+deviation of that mean from seed to seed. Two views show 55 to 70 % of a body, so that the exact shape scores
+1.8 to 2.5 mm Chamfer on their clouds: `surface`, and where the truth is known `vertex`, distinguish shapes there. The
 points of a decoder are no vertices: it has neither `visible` nor, on a recording, `vertex`.
 The published figures are those of another finger, simulator and camera. Pinned by tests/training/test_evaluate.py.
 """
@@ -58,20 +58,20 @@ TIMED = 50  # single commands that are timed
 class Row:
     """One model on one set or recording of K frames.
 
-    `errors` (S, K) mm of S seeds by name · `told` what it is and what it took · `shapes` (K, N, 3) mm of the first seed
-    with their `triangles`, and what was `seen` of each, for pictures.
+    `errors` (S, K) mm of S seeds by name · `details` what it is and what it took · `shapes` (K, N, 3) mm of the first
+    seed with their `triangles`, and what was `seen` of each, for pictures.
     """
 
     name: str
     errors: dict[str, Floats]
-    told: dict[str, Any] = field(default_factory=dict)
+    details: dict[str, Any] = field(default_factory=dict)
     shapes: Floats = field(default_factory=lambda: np.zeros((0, 0, 3)), repr=False)
     triangles: Triangles = field(default_factory=lambda: np.zeros((0, 3), np.int32), repr=False)
     seen: Sequence[Floats] = field(default=(), repr=False)
 
     def to_dict(self) -> dict[str, Any]:
         """Return means and standard deviations in mm (over frames, and of the mean from seed to seed where there are
-        several), the worst frame, and what was told.
+        several), the worst frame, and the details.
         """
         found = {
             f"{name}_mm": {"mean": float(np.nanmean(e)), "sd": float(np.nanstd(e, axis=1).mean()),
@@ -79,20 +79,20 @@ class Row:
                            "worst": float(np.nanmax(e[0])), "worst_frame": int(np.nanargmax(e[0]))}
             for name, e in self.errors.items()
         }  # fmt: skip
-        return {"name": self.name, "seeds": len(next(iter(self.errors.values()))), **found, **self.told}
+        return {"name": self.name, "seeds": len(next(iter(self.errors.values()))), **found, **self.details}
 
     @classmethod
     def of_seeds(cls, rows: Sequence[Row]) -> Row:
-        """Return rows that differ by their seed as one: their errors beside each other, of times the mean."""
+        """Return rows that differ by their seed as one: their errors together, of times the mean."""
         errors = {name: np.concatenate([row.errors[name] for row in rows]) for name in rows[0].errors}
-        told = dict(rows[0].told)
-        told |= {key: float(np.mean([row.told[key] for row in rows])) for key in TIMES if key in told}
-        return replace(rows[0], errors=errors, told=told)
+        details = dict(rows[0].details)
+        details |= {key: float(np.mean([row.details[key] for row in rows])) for key in TIMES if key in details}
+        return replace(rows[0], errors=errors, details=details)
 
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """A recording that judges: its clouds, vertices laid onto them (K, N), and the true ones where they are known."""
+    """A recording for validation: clouds, vertices laid onto them (K, N), and the true ones if known."""
 
     run: Run
     clouds: list[Floats]
@@ -112,9 +112,9 @@ class Recording:
         Raises:
             TrainingError: the truth is of other frames or vertices.
         """
-        wanted = (run.frames, *model.rest.shape)
-        if truth is not None and truth.shape != wanted:
-            raise TrainingError(f"a truth of shape {truth.shape} for {wanted} predicted; give that of this run")
+        shape = (run.frames, *model.rest.shape)
+        if truth is not None and truth.shape != shape:
+            raise TrainingError(f"a truth of shape {truth.shape} for {shape} predicted; give that of this run")
         base = model.with_residual(None)
         run, stood = in_base(run, base)
         remarks = [] if stood is None else [base_stood_off(stood.pose)]
@@ -125,15 +125,20 @@ class Recording:
         """Which vertices (K, N) the clouds show: 0 or 1."""
         return np.asarray(self.laid.visible, np.float64)
 
-    def judge(self, name: str, model: Model, told: Mapping[str, Any] | None = None) -> Row:
-        """Judge a model."""
+    def evaluate(self, name: str, model: Model, details: Mapping[str, Any] | None = None) -> Row:
+        """Evaluate a model."""
         shapes = np.asarray(model.predict(self.run))
-        return self.judge_shapes(name, shapes, model.triangles, told, body=not is_decoder(model))
+        return self.evaluate_shapes(name, shapes, model.triangles, details, body=not is_decoder(model))
 
-    def judge_shapes(
-        self, name: str, shapes: Floats, triangles: Triangles, told: Mapping[str, Any] | None = None, body: bool = True
+    def evaluate_shapes(
+        self,
+        name: str,
+        shapes: Floats,
+        triangles: Triangles,
+        details: Mapping[str, Any] | None = None,
+        body: bool = True,
     ) -> Row:
-        """Judge shapes (K, N, 3) mm and their surface; those of no `body` have points that are no vertices."""
+        """Evaluate shapes (K, N, 3) mm and their surface; those of no `body` have points that are no vertices."""
         found = {
             "chamfer": [_chamfer(s, c) for s, c in zip(shapes, self.clouds)],
             "surface": [_to_surface(s, c, triangles) for s, c in zip(shapes, self.clouds)],
@@ -146,7 +151,7 @@ class Recording:
         if self.truth is not None and body:
             found["vertex"] = list(np.linalg.norm(shapes - self.truth, axis=2).mean(axis=1))
         errors = {error: np.array([found[error]]) for error in ERRORS if error in found}
-        return Row(name, errors, dict(told or {}), shapes, triangles, self.clouds)
+        return Row(name, errors, dict(details or {}), shapes, triangles, self.clouds)
 
 
 def on_shapes(
@@ -154,16 +159,16 @@ def on_shapes(
     predict: Callable[[Floats], Floats],
     commands: Floats,
     points: Floats,
-    told: Mapping[str, Any],
+    details: Mapping[str, Any],
     triangles: Triangles | None = None,
 ) -> Row:
-    """Judge a model on simulated shapes that taught it nothing.
+    """Evaluate a model on simulated shapes that taught it nothing.
 
     Args:
         name: of the row.
         predict: commands (n, C) mm → points (n, 3N) mm.
         commands, points: of the test part.
-        told: `what` kind of model it is, seconds of training, numbers learned and so on.
+        details: `what` kind of model it is, seconds of training, numbers learned and so on.
         triangles: of the template.
     """
     found = np.asarray(predict(commands), np.float64).reshape(len(points), -1, 3)
@@ -172,13 +177,13 @@ def on_shapes(
         "chamfer": np.array([[_chamfer(p, q) for p, q in zip(found, true)]]),
         "vertex": np.linalg.norm(found - true, axis=2).mean(axis=1)[None],
     }
-    took = {"milliseconds": milliseconds(predict, commands), "paper": _paper(told.get("what"))}
+    took = {"milliseconds": milliseconds(predict, commands), "paper": _paper(details.get("what"))}
     surface = np.zeros((0, 3), np.int32) if triangles is None else triangles
-    return Row(name, errors, {**told, **took}, found, surface, list(true))
+    return Row(name, errors, {**details, **took}, found, surface, list(true))
 
 
-def told_these(model: Model, u: Floats) -> bool:
-    """Return whether a model is a table whose own nodes all these commands (n, C) are: it was told their shapes.
+def holds_shapes_of(model: Model, u: Floats) -> bool:
+    """Return whether a model is a table whose own nodes all these commands (n, C) are: it holds their shapes.
 
     One that was learned has the nodes, but was taught by the training part alone.
     """
@@ -190,8 +195,8 @@ def told_these(model: Model, u: Floats) -> bool:
 def halfway(model: Model, u: Floats, finger: Finger) -> tuple[Floats, Floats]:
     """Return commands (n, C) half a cell from the nodes u of a table, towards the middle, and their shapes (n, 3N) mm.
 
-    The finger is simulated there, so that a table that was told all nodes is judged where it has to interpolate, as
-    far from what it was told as can be.
+    The finger is simulated there, so that a table that holds all nodes is evaluated where it has to interpolate, as
+    far from its nodes as can be.
     """
     moved = np.empty_like(u)
     for c, axis in enumerate(model.prior.axes):

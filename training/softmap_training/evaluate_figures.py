@@ -28,7 +28,7 @@ Floats = NDArray[np.float64]
 COLOURS = (AFTER, "#7b5ea7", "#b8860b", INK, "#5c8001")  # of models with a residual
 BODY = np.array([0.90, 0.92, 0.94])
 AWAY = LinearSegmentedColormap.from_list("away", [AFTER, "#8fb9a8", "#e9c46a", "#e76f51", "#6a1b1a"])
-ACROSS = 4  # panels beside each other
+ACROSS = 4  # panels next to each other
 PANEL, TALL = 2.2, 3.1  # inches: how wide a panel is, and how tall at most
 DRAWN = 1500  # points of a cloud in a picture
 TOP = 90.0  # percentile of the distances that ends the colours: outliers are beyond
@@ -45,7 +45,7 @@ def colours(rows: Sequence[Row]) -> dict[str, str]:
     fixed, left = {"deepsoro": FLOOR, "without residual": BEFORE}, iter(COLOURS * (1 + len(rows) // len(COLOURS)))
     used: dict[str, str] = {}
     for row in rows:
-        colour = fixed.get(row.told["what"])
+        colour = fixed.get(row.details["what"])
         used[row.name] = next(left) if colour is None or colour in used.values() else colour
     return used
 
@@ -108,13 +108,13 @@ def over_samples(curve: Sequence[Row], rows: Sequence[Row], errors: Sequence[str
         for axes, error in zip(figure.subplots(1, len(errors), squeeze=False)[0], errors):
             for name in dict.fromkeys(row.name for row in curve):
                 some = [row for row in curve if row.name == name]
-                x = [row.told["frames"] for row in some]
+                x = [row.details["frames"] for row in some]
                 means = [row.errors[error].mean(axis=1) for row in some]
                 y = [mean.mean() for mean in means]
                 spread = [mean.std(ddof=1) if len(mean) > 1 else 0.0 for mean in means]
                 axes.errorbar(x, y, spread, color=used[name], marker="o", markersize=4, linewidth=1.3, capsize=3)
             for row in rows:
-                if row.told["what"] == "without residual" and row.told["base"] == curve[0].told["base"]:
+                if row.details["what"] == "without residual" and row.details["base"] == curve[0].details["base"]:
                     level = float(row.errors[error].mean())
                     axes.axhline(level, color=BEFORE, linewidth=1.1, linestyle=(0, (4, 3)))
                     axes.annotate(
@@ -127,7 +127,7 @@ def over_samples(curve: Sequence[Row], rows: Sequence[Row], errors: Sequence[str
                         color=BEFORE,
                         ha="right",
                     )
-            ticks = sorted({row.told["frames"] for row in curve})
+            ticks = sorted({row.details["frames"] for row in curve})
             axes.set_xscale("log")
             axes.set_xticks(ticks, [str(n) for n in ticks])
             axes.set_xticks([], minor=True)

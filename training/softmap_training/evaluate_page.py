@@ -19,7 +19,18 @@ from softmap_edge.files.atomic import write_atomically
 from softmap_edge.files.numbers import mm
 from softmap_edge.report.pages import Card, Picture, pictures_missing, render
 from softmap_training.evaluate import Row
-from softmap_training.evaluate_text import MEANING, PAPER, RECORDED, SIMULATED, TOLD, cell, cost, samples, there, title
+from softmap_training.evaluate_text import (
+    COLUMN_TITLES,
+    MEANING,
+    PAPER,
+    RECORDED,
+    SIMULATED,
+    cell,
+    cost,
+    samples,
+    there,
+    title,
+)
 
 Document = Mapping[str, Any]
 
@@ -146,7 +157,7 @@ def _sentence(document: Document) -> str:
 
 
 def _main(document: Document) -> str:
-    """Return the error that tells most of a recording: to the true vertices where they are known."""
+    """Return the most informative error of a recording: to the true vertices where they are known."""
     return "vertex" if any("vertex_mm" in row for row in document["recorded"]) else "surface"
 
 
@@ -180,8 +191,8 @@ def _recorded(
 
 def _shapes(rows: Sequence[Row], main: str, t: NDArray[np.float64], figures: ModuleType) -> Section:
     """Return predicted shapes over the clouds of a typical and of the worst frame."""
-    judge = next((row for row in rows if row.told["what"] == "with residual"), rows[-1])
-    by = judge.errors[main].mean(axis=0)
+    row = next((row for row in rows if row.details["what"] == "with residual"), rows[-1])
+    by = row.errors[main].mean(axis=0)
     frames = int(np.argsort(by)[len(by) // 2]), int(by.argmax())
     shown = rows if len(rows) <= figures.ACROSS else [*rows[:2], *rows[-2:]]
     panels = [
@@ -191,7 +202,7 @@ def _shapes(rows: Sequence[Row], main: str, t: NDArray[np.float64], figures: Mod
     ]
     note = (
         f"Predicted surfaces, and the points of the cloud by their distance from them (outliers and a hole belong to "
-        f"it), their mean above. Typical and worst by {TOLD.get(main, main)} of “{judge.name}”."
+        f"it), their mean above. Typical and worst by {COLUMN_TITLES.get(main, main)} of “{row.name}”."
     )
     return _drawn("Shapes over clouds", figures.shapes_over(panels), "Shapes over clouds", note)
 
@@ -233,7 +244,7 @@ def _table(
         if row.get("paper"):
             body.append(_grey("the paper, other data", row["paper"], shown))
     body += [_grey(f"{name}, other data", one, shown) for name, one in paper]
-    return Table(["mm, mean ± sd over frames", *(TOLD.get(error, error) for error in shown)], body)
+    return Table(["mm, mean ± sd over frames", *(COLUMN_TITLES.get(error, error) for error in shown)], body)
 
 
 def _spread(row: Document, error: str) -> str:
@@ -252,7 +263,7 @@ def _falls(rows: Sequence[Document]) -> Table:
         paper = Cell(f"{_change(row['paper_chamfer_share'])}, other data", grey=True)
         cells = [Cell(_change(row.get(f"{error}_share"))) for error in errors]
         body.append(TableRow(row["name"], [*cells, paper], f"against {row['against']}"))
-    return Table(["", *(TOLD.get(error, error) for error in (*errors, "the paper's chamfer"))], body)
+    return Table(["", *(COLUMN_TITLES.get(error, error) for error in (*errors, "the paper's chamfer"))], body)
 
 
 def _change(share: float | None) -> str:

@@ -12,7 +12,7 @@ Document = Mapping[str, Any]
 
 PAPER = (("deepsoro", "DeepSoRo"), ("without residual", "without residual"), ("with residual", "with residual"))
 SIMULATED, RECORDED = ("chamfer", "vertex"), ERRORS
-TOLD = {"whole": "complete body"}  # what a column is called, where that is not its key
+COLUMN_TITLES = {"whole": "complete body"}  # what a column is called, where that is not its key
 MEANING = {
     "chamfer": "chamfer: prediction to target + target to prediction, unsquared",
     "visible": "visible: the same, of the vertices alone that registration finds in the cloud",
@@ -86,7 +86,7 @@ def _table(head: str, rows: Sequence[Document], errors: Sequence[str], called: A
     shown = there(rows, errors)
     found = ["", f"{head} (mm, mean ± sd over frames)"]
     wide = _wide(map(called, rows))
-    found.append(f"  {'':<{wide}}" + "".join(f"{TOLD.get(error, error):>{CELL}}" for error in shown))
+    found.append(f"  {'':<{wide}}" + "".join(f"{COLUMN_TITLES.get(error, error):>{CELL}}" for error in shown))
     for row in rows:
         found.append(f"  {called(row):<{wide}}" + "".join(f"{cell(row, error):>{CELL}}" for error in shown))
         if row["seeds"] > 1:
@@ -103,7 +103,7 @@ def _table(head: str, rows: Sequence[Document], errors: Sequence[str], called: A
 
 def _falls(rows: Sequence[Document]) -> list[str]:
     errors = [error for error in RECORDED if any(f"{error}_share" in row for row in rows)]
-    head = "".join(f"{TOLD.get(error, error):>{SHARE}}" for error in errors)
+    head = "".join(f"{COLUMN_TITLES.get(error, error):>{SHARE}}" for error in errors)
     names = [f"{row['name']} against {row['against']}" for row in rows]
     wide = _wide(names)
     found = ["", "What the residual changes", f"  {'':<{wide}}{head}   the paper's chamfer, other data"]

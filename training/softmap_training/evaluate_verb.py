@@ -1,4 +1,4 @@
-"""The verb evaluate: bundles, and what is fitted beside them, on simulated shapes and on a recording."""
+"""The command evaluate: bundles, and what is fitted for comparison, on simulated shapes and on a recording."""
 
 from __future__ import annotations
 
@@ -31,10 +31,10 @@ from softmap_training.evaluate import (
     Row,
     fall,
     halfway,
+    holds_shapes_of,
     is_decoder,
     on_shapes,
     size_of,
-    told_these,
 )
 from softmap_training.evaluate_text import lines, samples
 from softmap_training.train_verb import checked_torch
@@ -78,7 +78,7 @@ def evaluate_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def evaluate(args: argparse.Namespace) -> int:
-    """Judge models and print their tables."""
+    """Evaluate models and print their tables."""
     asked = _checked(args)
     load_own(args)
     names = [Path(path).name for path in args.bundles]
@@ -182,20 +182,20 @@ def _on_set(
         if model.rest.size != true.shape[1] or model.channels != u.shape[1]:
             raise TrainingError(
                 f"{name}: {model.channels} commands and {len(model.rest)} points, the set has {u.shape[1]} and "
-                f"{true.shape[1] // 3}; judge it on a sweep of its own finger"
+                f"{true.shape[1] // 3}; recording it on a sweep of its own finger"
             )
         trained = dict(model.made_from.get("prior") or {})
-        told = {"what": trained.get("kind", model.kind), "parameters": size_of(model.with_residual(None))}
-        told |= {key: trained[key] for key in ("seconds", "seed") if key in trained}
+        details = {"what": trained.get("kind", model.kind), "parameters": size_of(model.with_residual(None))}
+        details |= {key: trained[key] for key in ("seconds", "seed") if key in trained}
         at, shapes = u, true
-        if told_these(model, u):
+        if holds_shapes_of(model, u):
             at, shapes = halfway(model, u, Finger.from_toml(data.finger))
-            told["judged"] = BETWEEN
+            details["judged"] = BETWEEN
         t = np.arange(float(len(at)))
         name, base = name + ("" if model.residual is None else WITHOUT), model.with_residual(None)
         asked_for = Run(t=t, command=at, t_seen=t, command_unit=model.command_unit)
         warnings += [f"{name}: {note}" for note in command_extrapolation(base, asked_for)]
-        rows.append(on_shapes(name, model.prior.evaluate, at, shapes, told, model.triangles))
+        rows.append(on_shapes(name, model.prior.evaluate, at, shapes, details, model.triangles))
     if not asked:
         return rows
     from softmap_training.contenders import fitted_to_set
@@ -222,9 +222,9 @@ def _on_run(
         raise TrainingError(f"{args.truth}: no `vertices` in it; give what `softmap record --virtual --truth` wrote")
     bar("registering", 0.0)
     first, model = _first(models, "--run")
-    judge = Recording.of(run, model, truth)
-    warnings += [f"--run: {note}" for note in judge.remarks]
-    warnings += [f"{first}: {note}" for note in shape_mismatch(model, match(model, judge.laid).mae_mm)]
+    recording = Recording.of(run, model, truth)
+    warnings += [f"--run: {note}" for note in recording.remarks]
+    warnings += [f"{first}: {note}" for note in shape_mismatch(model, match(model, recording.laid).mae_mm)]
     rows: list[Row] = []
     curve: list[Row] = []
     for k, (name, one) in enumerate(models.items()):
@@ -232,14 +232,14 @@ def _on_run(
         warnings += [f"{name}: {note}" for note in command_extrapolation(one, run)]
         base, trained = one.with_residual(None), one.made_from.get("prior") or {}
         what = "deepsoro" if is_decoder(one) else "without residual"
-        told = took(base) | {"what": what, "base": name}
-        told |= {key: trained[key] for key in ("seconds", "seed") if key in trained}
-        rows.append(judge.judge(name if is_decoder(one) else name + WITHOUT, base, told))
+        details = took(base) | {"what": what, "base": name}
+        details |= {key: trained[key] for key in ("seconds", "seed") if key in trained}
+        rows.append(recording.evaluate(name if is_decoder(one) else name + WITHOUT, base, details))
         if one.residual is not None:
-            told = took(one) | {"what": "with residual", "base": name}
+            details = took(one) | {"what": "with residual", "base": name}
             learned = one.made_from.get("residual") or {}
-            told |= {key: learned[key] for key in ("seconds", "seed", "frames") if key in learned}
-            rows.append(judge.judge(name, one, told))
+            details |= {key: learned[key] for key in ("seconds", "seed", "frames") if key in learned}
+            rows.append(recording.evaluate(name, one, details))
     if not taught:
         return rows, curve
     lesson = Lesson.of(model, taught)
@@ -249,12 +249,12 @@ def _on_run(
     if args.epochs is not None:
         warnings.append(f"--epochs {args.epochs}: what is trained here has other epochs than its recipe asks for")
     if not args.no_decoder:
-        rows.insert(0, decoder(lesson, judge, _plan(args), bar))
+        rows.insert(0, decoder(lesson, recording, _plan(args), bar))
     for kind in dict.fromkeys(args.residual):
-        parts = residuals(lesson, judge, kind, _plan(args), bar)
+        parts = residuals(lesson, recording, kind, _plan(args), bar)
         for row in parts:
-            row.told["base"] = first
-            warnings += [f"{samples(row.told | {'name': row.name})}: {note}" for note in row.told["outside"]]
+            row.details["base"] = first
+            warnings += [f"{samples(row.details | {'name': row.name})}: {note}" for note in row.details["outside"]]
         curve += parts
         rows.append(parts[-1])
     return rows, curve
@@ -264,12 +264,12 @@ def _falls(rows: list[Row]) -> list[dict[str, Any]]:
     """Return by what share each error falls with a residual, against none and against the decoder, and the paper's."""
     found = []
     for row in rows:
-        if row.told["what"] != "with residual":
+        if row.details["what"] != "with residual":
             continue
         for other in rows:
-            what = other.told["what"]
-            if what == "deepsoro" or what == "without residual" and other.told["base"] == row.told["base"]:
+            what = other.details["what"]
+            if what == "deepsoro" or what == "without residual" and other.details["base"] == row.details["base"]:
                 shares = {f"{error}_share": share for error, share in fall(other, row).items()}
-                told = {"name": row.name, "against": other.name, "what": what}
-                found.append(told | shares | {"paper_chamfer_share": FALLS[what]})
+                details = {"name": row.name, "against": other.name, "what": what}
+                found.append(details | shares | {"paper_chamfer_share": FALLS[what]})
     return found

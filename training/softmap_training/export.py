@@ -24,10 +24,10 @@ OPSET, IR = 20, 9  # the first with Gelu; what onnxruntime 1.19 and later read
 Floats = NDArray[np.float64]
 
 
-def to_onnx(network: nn.Sequential, channels: int, told: dict[str, str] | None = None) -> bytes:
+def to_onnx(network: nn.Sequential, channels: int, metadata: dict[str, str] | None = None) -> bytes:
     """Return the ONNX file of a network as training made it: commands (n, C) → points (n, 3N), n free.
 
-    told: what goes into its metadata.
+    metadata: written into the file.
 
     Raises:
         TrainingError: a layer that no bundle holds.
@@ -60,7 +60,7 @@ def to_onnx(network: nn.Sequential, channels: int, told: dict[str, str] | None =
             raise TrainingError(f"a layer {type(layer).__name__} cannot be exported; a bundle holds no such layer")
     if linear is not None:
         graph.linear(*linear)
-    return graph.file(channels, told or {})
+    return graph.file(channels, metadata or {})
 
 
 def checked(network: nn.Sequential, content: bytes, commands: Floats) -> float:
@@ -94,7 +94,7 @@ class Graph:
         self.constants += [numpy_helper.from_array(c.astype(np.float32), name) for c, name in zip(constants, names)]
         self.also(kind, *names, **attributes)
 
-    def whole(self, numbers: list[int]) -> str:
+    def integers(self, numbers: list[int]) -> str:
         """Return the name of a constant of whole numbers."""
         name = f"w{len(self.constants)}"
         self.constants.append(numpy_helper.from_array(np.array(numbers, np.int64), name))
@@ -112,7 +112,7 @@ class Graph:
         """Add W x + b."""
         self.add("Gemm", weights, bias, transB=1)
 
-    def file(self, channels: int, told: dict[str, str], size: int | None = None) -> bytes:
+    def file(self, channels: int, metadata: dict[str, str], size: int | None = None) -> bytes:
         """Return the file: commands (n, channels) → numbers (n, size), by default as many as its last constant has."""
         size = self.constants[-1].dims[0] if size is None else size
         given = helper.make_tensor_value_info("command", TensorProto.FLOAT, ["n", channels])
@@ -122,7 +122,7 @@ class Graph:
             graph, opset_imports=[helper.make_opsetid("", OPSET)], producer_name="softmap-training"
         )
         model.ir_version = IR
-        helper.set_model_props(model, told)
+        helper.set_model_props(model, metadata)
         onnx.checker.check_model(model, full_check=True)
         return bytes(model.SerializeToString())
 

@@ -65,7 +65,7 @@ def fit(
         task: network, loss and validation.
         recipe: epochs, batch, rate and so on.
         folder: where checkpoints and logs are kept; None keeps none.
-        progress: told the share done and a line after every epoch.
+        progress: called with the share done and a line after every epoch.
         device: "cpu" or "cuda"; on a GPU matrices are multiplied in bfloat16.
         tensorboard: write its events too.
         until: end with this many epochs of the recipe's and keep the last, whatever validation says.
@@ -107,8 +107,8 @@ def fit(
             for name in COLUMNS[1:4]:
                 writer.add_scalar(name, state.log[-1][name], epoch)
         if progress is not None:
-            said = f"epoch {epoch + 1}: {value:.3f} mm held out (best {state.best:.3f})"
-            progress((epoch + 1) / (until or recipe.epochs), said)
+            line = f"epoch {epoch + 1}: {value:.3f} mm held out (best {state.best:.3f})"
+            progress((epoch + 1) / (until or recipe.epochs), line)
     if writer is not None:
         writer.close()
     network.load_state_dict(state.weights)
@@ -163,7 +163,7 @@ def _cosine(part: float, last: float) -> float:
 
 
 def _keep(folder: Path, key: str, state: _State, network: Any, optimizer: Any, falls: Any, draw: Any) -> None:
-    """Write checkpoint and log, whole or not at all."""
+    """Write checkpoint and log completely or not at all."""
     content = {
         "key": key,
         "network": network.state_dict(),

@@ -4,12 +4,13 @@
 
 modes       ours: weights of the leading modes of the training shapes, all in one unit: the loss is the error in mm²
 published   the paper's, each output by its own mean and spread; also without its dropout
-laplacian, arap   the paper's layers to the shapes as `encodings.py` tells them, each number by its own mean and spread
+laplacian, arap   the paper's layers to the shapes as `encodings.py` describes them, each number by its own mean and
+spread
 linear      least squares, no training
-table, gp, xgboost   regressors (`baselines.py`), as a table over the axes of the bundle: that is what is judged
+table, gp, xgboost   regressors (`baselines.py`), as a table over the axes of the bundle: that is what is evaluated
 deepsoro    a decoder (`deepsoro.py`) as a bundle of its own points, which are no vertices (`decoder_model`)
 
-Errors are told on the test part of one frozen split, at commands that are not in the training part. The rest of the
+Errors are reported on the test part of one frozen split, at commands that are not in the training part. The rest of the
 bundle (fields, tendons, effects) stays as it was; a residual goes, it was learned on another prior. Units: mm.
 Pinned by tests/training/test_training.py.
 """
@@ -69,7 +70,7 @@ class Surface:
 
 @dataclass(frozen=True)
 class Trained:
-    """A trained network, its ONNX file, and what is told about it."""
+    """A trained network, its ONNX file, and its report."""
 
     network: nn.Sequential
     content: bytes
@@ -83,7 +84,7 @@ class Trained:
 
 @dataclass(frozen=True)
 class Tabulated:
-    """A regressor as the arrays of a table, and what is told about it."""
+    """A regressor as the arrays of a table, and its report."""
 
     arrays: Arrays
     report: dict[str, Any]
@@ -107,10 +108,10 @@ def train_prior(
         commands, points: the simulated set.
         parts: indices of training, validation and test.
         kind: as above.
-        surface: what "laplacian" and "arap" are told about.
+        surface: what "laplacian" and "arap" need.
         recipe: other numbers than those of `choices.py`.
         folder: where checkpoints and logs are kept.
-        progress: told the share done and a line.
+        progress: called with the share done and a line.
         device: "cpu" or "cuda".
         tensorboard: write its events too.
 
@@ -122,12 +123,12 @@ def train_prior(
     recipe = recipe or prior_recipe(kind)
     seeded(recipe.seed)
     network, targets, fixed = _made(kind, commands, points, train, surface)
-    u, wanted = (torch.as_tensor(array, dtype=torch.float32) for array in (commands, targets))
+    u, target = (torch.as_tensor(array, dtype=torch.float32) for array in (commands, targets))
     rows = torch.as_tensor(train)
 
     def loss(net: nn.Sequential, some: Tensor) -> Tensor:
         chosen = rows.to(some.device)[some]
-        return (net[:-fixed](u.to(some.device)[chosen]) - wanted.to(some.device)[chosen]).square().mean()
+        return (net[:-fixed](u.to(some.device)[chosen]) - target.to(some.device)[chosen]).square().mean()
 
     def validate(net: nn.Sequential) -> float:
         at = next(net.parameters()).device
@@ -146,7 +147,7 @@ def train_prior(
         "seconds": sum(row["seconds"] for row in log),
         "parameters": core.parameters,
         "parity_mm": apart,
-        **_judged(commands[train], core.evaluate(commands[test]), points[test]),
+        **_evaluated(commands[train], core.evaluate(commands[test]), points[test]),
     }
     return Trained(network, content, report)
 
@@ -165,8 +166,8 @@ def fit_prior(
     _enough(parts)
     train, _, test = parts
     fitted = baselines.fit_baseline(cast(baselines.Name, kind), commands[train], points[train], seed)
-    told = unpacked(base.arrays["prior"])
-    axes = [np.asarray(told[f"axis{c}"], np.float64) for c in range(base.channels) if f"axis{c}" in told]
+    table = unpacked(base.arrays["prior"])
+    axes = [np.asarray(table[f"axis{c}"], np.float64) for c in range(base.channels) if f"axis{c}" in table]
     axes = axes or [np.linspace(low, high, NODES) for low, high in base.command_range]
     mean, modes, weights = baselines.reduced(fitted.predict(tensor_grid(axes)))
     arrays: Arrays = {f"axis{c}": axis for c, axis in enumerate(axes)}
@@ -175,22 +176,22 @@ def fit_prior(
     found = family_from(arrays).evaluate(commands[test])
     report = {"kind": kind, "seed": seed, "seconds": fitted.seconds}
     report["parameters"] = sum(array.size for array in arrays.values())
-    return Tabulated(arrays, report | _judged(commands[train], found, points[test]))
+    return Tabulated(arrays, report | _evaluated(commands[train], found, points[test]))
 
 
 def decoder_model(
     base: Model, commands: Floats, points: Floats, parts: tuple[Indices, Indices, Indices], epochs: int | None = None,
-    seed: int = 0, folder: Path | None = None, told: Callable[[float], None] | None = None,
+    seed: int = 0, folder: Path | None = None, progress: Callable[[float], None] | None = None,
 ) -> tuple[Model, dict[str, Any]]:  # fmt: skip
     """Train a decoder on shapes (S, 3N) mm at commands (S, C) mm, and return it as a model, and a report.
 
     Its points are those of its own sheet, at rest where it lays them at home; its tip is the 5 % of them that move
     most.
-    Nothing else of the base's is in it: no fields, effects, calibration. It is judged by half the Chamfer distance.
+    Nothing else of the base's is in it: no fields, effects, calibration. It is evaluated by half the Chamfer distance.
 
     Args:
         base: the finger. commands, points, parts: as for `train_prior`. epochs: in place of the usual number.
-        seed: draws first weights. folder: of checkpoints. told: called with the share done.
+        seed: draws first weights. folder: of checkpoints. progress: called with the share done.
 
     Raises:
         TrainingError: another finger's set.
@@ -202,7 +203,7 @@ def decoder_model(
     some = np.sort(np.concatenate([train, validation]))
     held = np.searchsorted(some, validation)
     bodies = [np.ascontiguousarray(shape) for shape in shapes[some]]
-    fitted = fit_deepsoro(commands[some], bodies, len(base.rest), seed, held, epochs, folder, told)
+    fitted = fit_deepsoro(commands[some], bodies, len(base.rest), seed, held, epochs, folder, progress)
     content = fitted.onnx or b""
     found = run_onnxruntime(content, commands)
     sheet = found.reshape(len(found), -1, 3)
@@ -217,7 +218,7 @@ def decoder_model(
         "command_range": span(commands[train]),
         "test_chamfer_mm": float(apart.mean()),
     }
-    arrays, said = table_from_onnxruntime(
+    arrays, tabulated = table_from_onnxruntime(
         "prior.onnx", content, base.command_range, {}, "a decoder is no chain of layers"
     )
     half = float(np.sqrt(np.mean((apart / 2) ** 2)))
@@ -242,7 +243,7 @@ def decoder_model(
         arrays={"prior": {"onnx": np.frombuffer(content, np.uint8)}, "fields": {}},
     )
     form = np.full((len(bare.structure.positions), 3), half / np.sqrt(3.0))
-    return replace(bare, form_error=form), report | {"table_off_mm": said["table_off_mm"]}
+    return replace(bare, form_error=form), report | {"table_off_mm": tabulated["table_off_mm"]}
 
 
 def _chamfer(one: Floats, other: Floats) -> float:
@@ -250,8 +251,8 @@ def _chamfer(one: Floats, other: Floats) -> float:
     return float(found["there"] + found["back"])
 
 
-def _judged(taught: Floats, found: Floats, points: Floats) -> dict[str, Any]:
-    """Return what is told of a prior by the commands that taught it, and what it makes of the test part."""
+def _evaluated(taught: Floats, found: Floats, points: Floats) -> dict[str, Any]:
+    """Return the report of a prior: its training commands and its error on the test part."""
     return {
         "samples": len(taught),
         "command_range": span(taught),
@@ -277,10 +278,10 @@ def _made(
         if surface is None:
             raise TrainingError(f"'{kind}' needs the surface of shapes; give the model of the finger")
         encode = encodings.laplacian if kind == "laplacian" else encodings.arap
-        told = encode(surface.rest, surface.triangles, surface.held, points)
-        network = published_prior(commands[train], told.codes[train], PUBLISHED_DROPOUT)
-        network.append(Modes(told.mean, told.modes))
-        return network, _normalised(network[-2], told.codes), 2
+        codes = encode(surface.rest, surface.triangles, surface.held, points)
+        network = published_prior(commands[train], codes.codes[train], PUBLISHED_DROPOUT)
+        network.append(Modes(codes.mean, codes.modes))
+        return network, _normalised(network[-2], codes.codes), 2
     network = published_prior(commands[train], points[train], PUBLISHED_DROPOUT if kind == "published" else 0.0)
     return network, _normalised(network[-1], points), 1
 
@@ -291,7 +292,7 @@ def _normalised(last: Any, values: Floats) -> Floats:
 
 
 def with_prior(base: Model, trained: Trained | Tabulated, commands: Floats, points: Floats) -> Model:
-    """Return a bundle's model with a trained prior in place of its own; `commands` and `points` judge it (test part).
+    """Return a bundle's model with a trained prior in place of its own; `commands` and `points` are the test part.
 
     Its own error grows by that of what was trained, in squares.
 
@@ -299,13 +300,13 @@ def with_prior(base: Model, trained: Trained | Tabulated, commands: Floats, poin
         TrainingError: the prior is of other commands or points than the model.
     """
     check_set(base, commands, points)
-    core, told = family_from(trained.arrays), base.arrays["prior"]
+    core, table = family_from(trained.arrays), base.arrays["prior"]
     base = base.with_residual(None)
     kept = {
-        name: array for name, array in told.items() if name.startswith("axis") or name.removesuffix("_step") == "pull"
+        name: array for name, array in table.items() if name.startswith("axis") or name.removesuffix("_step") == "pull"
     }
-    form = np.asarray(told.get("form_before", base.form_error), np.float64)  # its own, not that of one trained earlier
-    error = float(told.get("error_before_mm", base.vertex_error_mm))
+    form = np.asarray(table.get("form_before", base.form_error), np.float64)  # its own, not that of one trained earlier
+    error = float(table.get("error_before_mm", base.vertex_error_mm))
     kept |= {"form_before": form, "error_before_mm": np.array(error)}
     arrays = dict(base.arrays) | {"prior": kept | dict(trained.arrays)}
     missed = (core.evaluate(commands) - points).reshape(len(points), -1, 3)
@@ -351,8 +352,8 @@ def check_set(base: Model, commands: Floats, points: Floats) -> None:
 
 def _enough(parts: tuple[Indices, Indices, Indices]) -> None:
     if min(map(len, parts)) < 2:
-        told = " and ".join(", ".join(str(len(part)) for part in parts).rsplit(", ", 1))
-        raise TrainingError(f"parts of {told} samples; sweep more commands")
+        sizes = " and ".join(", ".join(str(len(part)) for part in parts).rsplit(", ", 1))
+        raise TrainingError(f"parts of {sizes} samples; sweep more commands")
 
 
 def _taught(base: Model, taught: Floats) -> Floats:

@@ -1,13 +1,13 @@
-"""The Zarr 3 store of a dense sweep: made whole, filled chunk by chunk, opened with sizes, types and numbers checked.
+"""The Zarr 3 store of a dense sweep: made in one step, filled chunk by chunk, checked when it is opened.
 
-    command (S, C)  what was told, mm or N · vertices (S, N, 3) mm float32 · pull (S, T) N · triangles (F, 3) int32
-    done (chunks,) bool  which chunks of rows are there whole; attributes: what the sweep is of, and the schema
+    command (S, C)  as commanded, mm or N · vertices (S, N, 3) mm float32 · pull (S, T) N · triangles (F, 3) int32
+    done (chunks,) bool  which chunks of rows are complete; attributes: what the sweep is of, and the schema
 
 S runs over the grid in C order, the last command fastest; a chunk is `chunk` rows, in `vertices` and `pull` one file.
-A store is built beside its place and moved there, a chunk is done only once both of its files stand there, and each
-file replaces its old one whole (zarr's LocalStore), so that a kill at any time leaves a store that goes on. Stores are
-untrusted: formats before 3, whose codecs may run code, types other than the above and codecs that only compress are
-all that is read. Pinned by tests/sweep/test_zarr_sweep.py.
+A store is built next to its place and moved there, a chunk is done only once both of its files stand there, and each
+file replaces its old one in one step (zarr's LocalStore), so that a kill at any time leaves a store that goes on.
+Stores are untrusted: formats before 3, whose codecs may run code, types other than the above and codecs that only
+compress are all that is read. Pinned by tests/sweep/test_zarr_sweep.py.
 """
 
 from __future__ import annotations
@@ -98,10 +98,10 @@ class Store:
             raise SimulationError(f"{self.path}: chunk {chunk} holds numbers that are not finite, or is gone; {REMEDY}")
         return found
 
-    def check_same(self, wanted: dict[str, Any]) -> None:
-        """Raise SimulationError where the store is of something else than `attributes_of` says is wanted."""
+    def check_same(self, required: dict[str, Any]) -> None:
+        """Raise SimulationError where the store is of something else than `attributes_of` requires."""
         for name in ("finger", "mesh_sha256", "gravity", "tip_force", "axes", "chunk"):
-            there, here = self.attributes[name], wanted[name]
+            there, here = self.attributes[name], required[name]
             if there != here:
                 raise SimulationError(
                     f"{self.path}: a sweep stands there with {_difference(name, there, here)}; give another name, or "
@@ -126,7 +126,7 @@ def attributes_of(finger: Finger, axes: Sequence[Floats], chunk: int) -> dict[st
 
 
 def make(path: Path, attributes: dict[str, Any], template: FingerTemplate, tendons: int) -> None:
-    """Make an empty store at `path`, whole or not at all."""
+    """Make an empty store at `path`, completely or not at all."""
     command = tensor_grid([np.array(axis) for axis in attributes["axes"]])
     size, chunk = len(command), attributes["chunk"]
     points = len(template.vertices)

@@ -5,7 +5,7 @@
 A chunk is a run of grid rows. It is solved by itself, from the home pose along a short way through its commands
 (`tour`, `Simulator.path`), so that its numbers do not depend on which others were solved, nor where: within the
 solver's tolerance those of `Simulator.sweep`. One process writes; workers of a cluster only solve, and need
-softmap-training installed and, for a mesh made elsewhere, its file at the same path. A chunk whose worker is lost goes
+softmap-training installed and, for an imported mesh, its file at the same path. A chunk whose worker is lost goes
 to another one (Dask gives up after a chunk has lost four). Units: mm, N, g.
 """
 
@@ -62,25 +62,25 @@ def sweep_to_zarr(
     grid = [np.asarray(axis, np.float64) for axis in axes]
     store = open_store(path, "r+") if path.exists() else None
     rows = chunk or (store.chunk if store else CHUNK)
-    wanted = attributes_of(finger, grid, rows)
+    required = attributes_of(finger, grid, rows)
     simulator = Simulator(finger)
     if store is None:
-        make(path, wanted, simulator.template, len(finger.tendons))
+        make(path, required, simulator.template, len(finger.tendons))
         store = open_store(path, "r+")
-    store.check_same(wanted)
+    store.check_same(required)
     left = [int(k) for k in np.flatnonzero(~store.done)]
-    told = progress or (lambda share: None)
+    report = progress or (lambda share: None)
     total, solved = len(store.done), 0
 
-    def tell(share: float) -> None:
-        told((float(store.done.sum()) + share) / total)
+    def report_chunk(share: float) -> None:
+        report((float(store.done.sum()) + share) / total)
 
-    tell(0.0)
-    source = _here(simulator, store, left, tell) if dask is None else _on_cluster(dask, finger, store, left)
+    report_chunk(0.0)
+    source = _here(simulator, store, left, report_chunk) if dask is None else _on_cluster(dask, finger, store, left)
     for k, vertices, pull in source if left else ():
         store.write(k, vertices, pull)
         solved += len(vertices)
-        tell(0.0)
+        report_chunk(0.0)
     return store, solved
 
 
@@ -143,9 +143,9 @@ def _simulator(text: str) -> Simulator:
 
 
 def _of_the_cluster(fault: Exception) -> str:
-    said = brief(fault) or type(fault).__name__
+    cause = brief(fault) or type(fault).__name__
     if isinstance(fault, ImportError):
-        return f"a worker lacks a package ({said}); install softmap-training there"
+        return f"a worker lacks a package ({cause}); install softmap-training there"
     if isinstance(fault, TimeoutError):
-        return f"no worker answered within {WAIT} s ({said}); start a scheduler and workers"
-    return f"the cluster failed ({said})"
+        return f"no worker answered within {WAIT} s ({cause}); start a scheduler and workers"
+    return f"the cluster failed ({cause})"

@@ -1,4 +1,4 @@
-"""The verb train: a prior from simulated shapes, a residual from a recording; both end in a bundle."""
+"""The command train: a prior from simulated shapes, a residual from a recording; both end in a bundle."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from softmap_training.choices import PriorKind, ResidualKind
 from softmap_training.errors import TrainingError
 
 FITTED = ("linear", *(name for name in BASELINES if name != "deepsoro"))  # at once, without epochs
-WORK = ".training"  # what the folder of checkpoints and logs ends in, beside the bundle
+WORK = ".training"  # what the folder of checkpoints and logs ends in, next to the bundle
 
 
 def train_arguments(parser: argparse.ArgumentParser) -> None:
@@ -69,7 +69,7 @@ def train(args: argparse.Namespace) -> int:
     save_bundle(model, args.out)
     document = {"schema": "softmap.train/1", "bundle": args.out, "what": args.what, "resumed": resumed, **report}
     document |= {} if work is None else {"work": str(work)}
-    print(json.dumps(document) if args.json else _told(document))
+    print(json.dumps(document) if args.json else _text(document))
     if args.what == "residual":
         return int(report["held_out_after_mm"] >= report["held_out_before_mm"])
     return 0
@@ -105,20 +105,20 @@ def _prior(args: argparse.Namespace, base: Any, work: Path | None, bar: Bar) -> 
     parts = data.split(choices.SPLIT_SEED)
     points = data.shapes(range(len(data.command))).reshape(len(data.command), -1).astype(float)
     check_set(base, data.command, points)
-    split, judged = (parts.train, parts.validation, parts.test), (data.command[parts.test], points[parts.test])
+    split, test_part = (parts.train, parts.validation, parts.test), (data.command[parts.test], points[parts.test])
     if args.model == "deepsoro":
         return decoder_model(
             base, data.command, points, split, args.epochs, args.seed or 0, work, lambda share: bar("training", share)
         )
     if args.model in BASELINES:
         fitted = fit_prior(base, data.command, points, split, args.model, args.seed or 0)
-        return with_prior(base, fitted, *judged), fitted.report
+        return with_prior(base, fitted, *test_part), fitted.report
     recipe = choices.prior_recipe(args.model)
     trained = train_prior(
         data.command, points, split, args.model, Surface.of(base), recipe.with_(epochs=args.epochs, seed=args.seed),
         work, lambda share, line: bar("training", share), args.device, args.tensorboard,
     )  # fmt: skip
-    return with_prior(base, trained, *judged), trained.report
+    return with_prior(base, trained, *test_part), trained.report
 
 
 def _residual(args: argparse.Namespace, base: Any, work: Path | None, bar: Bar) -> tuple[Any, dict[str, Any]]:
@@ -133,8 +133,8 @@ def _residual(args: argparse.Namespace, base: Any, work: Path | None, bar: Bar) 
     )  # fmt: skip
 
 
-def _told(document: dict[str, Any]) -> str:
-    """Return what is said of a training on a terminal."""
+def _text(document: dict[str, Any]) -> str:
+    """Return the report of a training for a terminal."""
     head, took = f"{document['bundle']}: {document['what']}", f"{document['seconds']:.0f} s"
     lines = [f"{head} table ({document['kind']}), {took}"]
     if "parity_mm" in document:

@@ -1,4 +1,4 @@
-//! Two servos that do at once what the guard tells them, for the tests of docs/reference/safety.md (`*_tests.rs` beside it).
+//! Two servos that do at once what the guard commands, for the tests of docs/reference/safety.md (`*_tests.rs` in its folder).
 
 use super::*;
 

@@ -131,19 +131,19 @@ def no_coordinates(sample: Floats) -> dict[int, str]:
     known = np.isfinite(sample)
     sample = np.clip(sample, -1e12, 1e12)  # damaged values must not overflow
     refused = {k: FEW for k in range(count) if 2 * int(known[:, k].sum()) < rows}
-    whole = {k for k in range(count) if not np.any(sample[known[:, k], k] % 1.0)}
-    decimals = [k for k in range(count) if k not in refused and k not in whole]
+    integers = {k for k in range(count) if not np.any(sample[known[:, k], k] % 1.0)}
+    decimals = [k for k in range(count) if k not in refused and k not in integers]
     for k in (k for k in range(count) if k not in refused):
         values = sample[known[:, k], k]
         if len(values) >= _LEAST_ROWS and _counts_up(values):
             refused[k] = COUNTS
-        elif len(decimals) >= 3 and k in whole:
+        elif len(decimals) >= 3 and k in integers:
             refused[k] = "holds whole numbers"
         elif np.abs(values).max(initial=0.0) > _FARTHEST and count - len(refused) > 3:
             refused[k] = f"reaches {np.abs(values).max():.3g}"
         elif not np.ptp(values) and count - len(refused) > 3:
             refused[k] = f"is always {values[0]:g}"
-        elif k in whole and len(values) >= 20 and len(np.unique(values)) == len(values) and count - len(refused) > 3:
+        elif k in integers and len(values) >= 20 and len(np.unique(values)) == len(values) and count - len(refused) > 3:
             refused[k] = NUMBERS
     return refused
 

@@ -204,8 +204,8 @@ def _off(args: OffOptions) -> int:
         released += there
         kept += left
         if not args.json:
-            told = f"off: servo {', '.join(map(str, there))}" if there else "no servo confirmed it"
-            print(f"{name}: torque off was sent; {told}")
+            confirmed = f"off: servo {', '.join(map(str, there))}" if there else "no servo confirmed it"
+            print(f"{name}: torque off was sent; {confirmed}")
             if left:
                 print(f"{name}: {with_files(kept_words(left), args)}")
     if args.json:

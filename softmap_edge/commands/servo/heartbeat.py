@@ -18,7 +18,7 @@ from softmap_edge.robot.link.session import new_key, read_key
 from softmap_edge.robot.servo.terminal import Typed, terminal
 
 EVERY = 0.02  # s between beats
-UNHEARD = 5.0  # s without an answer after which that is told
+UNHEARD = 5.0  # s without an answer after which a warning is printed
 KEYS = "space presses the stop, r releases it, q or Ctrl-C ends the heartbeat, which presses it too"
 
 
@@ -53,7 +53,7 @@ def heartbeat(args: HeartbeatOptions) -> int:
         raise ServoError("give HOST:PORT of the robot and --key FILE, or --new-key FILE to make one")
     if not 0.001 <= args.every <= 1.0:
         raise ServoError(f"--every {args.every:g} s; allowed is 0.001 to 1 s, well below the timeout in rig.toml")
-    pressed, beats, told, begun = False, 0, False, time.monotonic()
+    pressed, beats, warned, begun = False, 0, False, time.monotonic()
     with Heart(host, int(port), read_key(args.key)) as heart, _keys() as keys:
         if not args.json:
             print(f"beating for {args.robot}: {KEYS}", flush=True)
@@ -70,8 +70,8 @@ def heartbeat(args: HeartbeatOptions) -> int:
                         print("pressed" if pressed else "released", flush=True)
                 heart.beat(pressed)
                 beats += 1
-                if not told and not heart.heard and time.monotonic() - begun > UNHEARD:
-                    told = True
+                if not warned and not heart.heard and time.monotonic() - begun > UNHEARD:
+                    warned = True
                     print(f"{args.robot} does not answer: no loop runs there, or its key is another", file=sys.stderr)
                 due = max(due + args.every, time.monotonic() - args.every)
                 time.sleep(max(0.0, due - time.monotonic()))

@@ -39,7 +39,7 @@ class Marks:
     groups: Mapping[str, str] = field(default_factory=dict)
 
     def grouped(self, decimal: str) -> tuple[str, str] | None:
-        """Return the mark between groups of digits beside this decimal mark, and a cell with it; None without any."""
+        """Return the mark between groups of digits for this decimal mark, and a cell with it; None without any."""
         other = other_mark(decimal)
         if (mark := next((mark for mark in self.groups if mark != decimal), None)) is not None:
             return mark, self.groups[mark]

@@ -12,13 +12,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from types import TracebackType
-from typing import Literal, Protocol, Self, cast
+from typing import Literal, Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from softmap_edge.errors import GuardStopped, ServoError
-from softmap_edge.files.atomic import Document
 from softmap_edge.model.servo_calibration import Calibration
 from softmap_edge.robot.control.controller import Controller
 from softmap_edge.robot.control.emergency_key import PRESSED
@@ -256,6 +255,11 @@ def _limits(rig: Rig, asked: dict[str, float | None]) -> LoopLimits:
     return loop_limits(servos, jump=anywhere, **table)
 
 
+def _allowed(limit: tuple[float, str, str] | None, otherwise: float) -> float:
+    """Return the value of a limit of the bench (`of_bench`), `otherwise` where the bench has none."""
+    return otherwise if limit is None else float(limit[0])
+
+
 def _servos(rig: Rig) -> list[ServoLimits]:
     """Return the limits of each servo: its ticks about home if homed, else no window."""
     found = []
@@ -268,10 +272,12 @@ def _servos(rig: Rig) -> list[ServoLimits]:
                 low = -FARTHEST - servo.home if low is None else low
                 high = FARTHEST - servo.home if high is None else high
                 limits = servo_limits(servo.model, servo.home, (low, high))
+            limits["slew"] = _allowed(bench("slew"), limits["slew"])
+            limits["acceleration"] = _allowed(bench("acceleration"), limits["acceleration"])
+            limits["following"] = _allowed(bench("following"), limits["following"])
+            limits["warm"] = min(limits["warm"], _allowed(bench("warm"), limits["warm"]))
+            limits["hot"] = min(limits["hot"], _allowed(bench("hot"), limits["hot"]))
             own = strongest(servo_model(servo.model))
-            values = cast(Document, limits)
-            values |= {name: allowed[0] for name in ("slew", "acceleration", "following") if (allowed := bench(name))}
-            values |= {name: min(values[name], end[0]) for name in ("warm", "hot") if (end := bench(name))}
-            values["current"] = min(own, (bench("current_mA") or (values["current"],))[0])
+            limits["current"] = min(own, _allowed(bench("current_mA"), limits["current"]))
             found.append(limits)
     return found

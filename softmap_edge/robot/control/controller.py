@@ -7,9 +7,9 @@
             time.sleep(0.02)
 
 Python sends commands, never ticks; the loop guards them (docs/reference/safety.md) and never waits for Python. A
-program that stops calling `target` is held, then slackened; one that ends or is killed likewise. Should the loop's
-own process die or freeze, the servos stop by their watchdogs and a thread of this side switches their torque off,
-whatever the program does meanwhile. A servo that has not confirmed that its torque is off at the end is an error.
+program that stops calling `target` is held, then its tension is released; so is one that ends or is killed. If the
+loop's own process dies or freezes, the servos stop by their watchdogs, and a thread of this side switches their torque
+off, whatever the program does meanwhile. A servo that has not confirmed that its torque is off at the end is an error.
 Pinned by tests/robot/test_controller.py and tests/robot/test_leaving.py.
 """
 

@@ -28,13 +28,13 @@ from softmap_edge.robot.servo.home_mark import check_proved, forget
 def main() -> int:
     """Run the loop of the setup on standard input; 0 when its orders ended."""
     orders, reports = int(sys.argv[1]), int(sys.argv[2])
-    told = os.dup(reports)  # the loop closes its own
+    reported_to = os.dup(reports)  # the loop closes its own
     try:
         setup = json.load(sys.stdin)
         homes, session = setup.pop("homes"), setup.pop("session", None)
         servos = members_of(setup["servos"], setup["limits"], setup.pop("gains", ()))
         if mended := started(setup["port"], setup["baud"], servos):
-            _report(told, mended=mended)
+            _report(reported_to, mended=mended)
         if homes is not None:
             _check_home(setup["port"], setup["baud"], setup["servos"], homes)
         if setup["gpio"] is not None:
@@ -46,7 +46,7 @@ def main() -> int:
             forget(setup["port"], setup["baud"], [id for id, _ in setup["servos"]])  # a fault made home unknown
         note_released(session)
     except SoftmapError as fault:
-        _report(told, error=str(fault))
+        _report(reported_to, error=str(fault))
         return 1
     return 0
 

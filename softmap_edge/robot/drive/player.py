@@ -217,10 +217,10 @@ def merged(recording: Path, model: Model, pace: Pace, played: Kept) -> Run:
     Raises:
         RunError: torque was never on, or the frames do not fit the model.
     """
-    told = read_recording(recording)
+    recorded = read_recording(recording)
     looks, frames = [look for look, _ in played.taken], [frame for _, frame in played.taken]
-    run, inside = with_seen(told, frames, played.camera, vertices_of(model))
-    host = run.t + told.begun
+    run, inside = with_seen(recorded, frames, played.camera, vertices_of(model))
+    host = run.t + recorded.begun
     clock = np.array(played.clock or [(host[0], 0.0)])
     at = np.interp(host, clock[:, 0], clock[:, 1])
     rows = np.clip(np.searchsorted(pace.t, at, side="right") - 1, 0, len(pace.t) - 1)

@@ -158,8 +158,8 @@ def effective_limits(
     found = calibration or calibration_of(model)
     if len(found.b) != len(rig.servos):
         raise ServoError(f"the rig has {len(rig.servos)} servos, the calibration {len(found.b)}; they must agree")
-    told = model.safety.within(model.command_range) if model.safety is not None else None
-    safety = derived(model) if told is None else held_to(told, model)
+    kept = model.safety.within(model.command_range) if model.safety is not None else None
+    safety = derived(model) if kept is None else held_to(kept, model)
     if safety is None or len(safety.low) != len(found.b):
         raise ServoError(f"the model takes {model.channels} commands, the calibration is of {len(found.b)} servos")
     box = _box(found, safety)
@@ -175,7 +175,7 @@ def effective_limits(
         rig,
         replace(here, window=(window[0], window[1])),
         safety,
-        told is None,
+        kept is None,
         rate,
         servos,
         _robot(rig, safety, rates, servos, rate),
@@ -269,8 +269,8 @@ def _servo(
     def least(name: str, *others: tuple[float, str, str], of: str | None = None) -> None:
         data = name in ("warm", "hot")
         own = (cast(Mapping[str, float], start)[name], DATA if data else OWN, "")
-        told = allowed(of or name) or own
-        value, by, why = min([told, *([own] if data else []), *others], key=lambda one: float(one[0]))
+        set_here = allowed(of or name) or own
+        value, by, why = min([set_here, *([own] if data else []), *others], key=lambda one: float(one[0]))
         limits.append(Limit(name, value, UNITS[name], by, why))
 
     own = (strongest(entry), DATA, "its own limit")
@@ -332,8 +332,8 @@ def _robot(
     jump = [allowed("jump") or (usual["jump"], OWN, "")]
     ticks = tuple(float(by * rates.min()) for by in safety.jump)
     jump.append((ticks, FINGER, f"{safety.jump[0]:g} and {safety.jump[1]:g} {safety.unit}"))
-    told, refused = (min(jump, key=_side(side)) for side in (0, 1))
-    limits = [Limit("jump", (min(told[0][0], refused[0][1]), refused[0][1]), "ticks", told[1], told[2])]
+    warned, refused = (min(jump, key=_side(side)) for side in (0, 1))
+    limits = [Limit("jump", (min(warned[0][0], refused[0][1]), refused[0][1]), "ticks", warned[1], warned[2])]
     for name in ("stale", "hold", "slacken", "late", "silent", "grace", "ramp", "jog_travel", "jog_slew",
                  "jog_current", "band", "turns", "burst"):  # fmt: skip
         found = [allowed(name) or (usual[name], OWN, "")]

@@ -1,7 +1,7 @@
 """What is seen of the hand, newest first: a thread takes pictures and finds landmarks, or they come over UDP.
 
 A sight replaces the one before; whoever is slower than the camera misses some, and none waits. What ends it (camera
-gone, file over) is told, not raised. Pinned by tests/robot/test_teleop_drive.py.
+gone, file over) is reported, not raised. Pinned by tests/robot/test_teleop_drive.py.
 """
 
 from __future__ import annotations

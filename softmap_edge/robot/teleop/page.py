@@ -132,7 +132,7 @@ class Page:
     # --- what the driving thread asks and tells -----------------------------------------
 
     def shows(self, hello: Document, view: View) -> None:
-        """Set what a page is told when it comes, and what is asked for each state: the state, points, a picture."""
+        """Set what a page receives when it comes, and what is asked for each state: the state, points, a picture."""
         self._hello, self._view = hello, view
 
     def controls(self, now: float) -> Controls:
@@ -144,7 +144,7 @@ class Page:
         return self._wish.take()
 
     def rest(self, knob: tuple[float, float]) -> None:
-        """Hear where the finger is; pages are told."""
+        """Hear where the finger is; pages receive it."""
         self._rest = knob
 
     # --- requests -----------------------------------------------------------------------

@@ -1,4 +1,4 @@
-"""What a page is told: who and what drives, what the guard does, the hand, the finger. Pinned by
+"""What a page receives: who and what drives, what the guard does, the hand, the finger. Pinned by
 tests/robot/test_teleop_page.py."""
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ from softmap_edge.robot.teleop.sketch import ShapePreview
 Floats = NDArray[np.float64]
 
 SEEN = 0.02  # mm: less is not drawn anew
-AVERAGED = 60  # ages of sights over whose median the latency is told
+AVERAGED = 60  # ages of sights over whose median the latency is
 
 
 class PageState:
     """Turns the newest moment into what a page is sent; asked by the threads of pages.
 
     Args:
-        model: that is drawn. aim, eyes: as they drive. sketch: the finger. about: what else a page is told once.
+        model: that is drawn. aim, eyes: as they drive. sketch: the finger. about: what else a page receives once.
     """
 
     def __init__(self, model: Model, aim: HandMapping, eyes: HandSource, sketch: ShapePreview, about: Document) -> None:
